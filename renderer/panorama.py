@@ -1,0 +1,75 @@
+"""The source frame on the GPU: upload of its planes, and the sampler uniforms that `shaders/panorama.glsl` declares."""
+
+from __future__ import annotations
+
+import moderngl
+import numpy as np
+
+from renderer.color import YuvFormat
+from renderer.frame import Frame, RadianceFrame, RgbFrame, YuvFrame, check_size
+from renderer.gl import Context, set_uniforms
+from renderer.inverse_tone_mapping import INVERSE_TABLE_SIZE, inverse_gain_table
+
+KINDS: tuple[type, ...] = (YuvFrame, RgbFrame, RadianceFrame)
+
+
+def source_defines(kind: type[Frame]) -> dict[str, int]:
+    """The preprocessor switches of `panorama.glsl` for one kind of frame."""
+    return {"SOURCE_YUV": int(kind is YuvFrame), "SOURCE_RGB8": int(kind is RgbFrame)}
+
+
+class PanoramaTextures:
+    """Owns the textures of one source geometry; `write` uploads a frame, `bind` makes it visible to a program."""
+
+    FIRST_UNIT = 0  # units 0 to 6
+
+    def __init__(self, context: Context, kind: type[Frame], size: tuple[int, int]) -> None:
+        self.kind = kind
+        self.size = size
+        width, height = size
+        self.is_packed = kind is YuvFrame and width % 4 == 0
+        self._packed: list[moderngl.Texture] = []
+        if kind is YuvFrame:
+            sizes = [(width, height), (width // 2, height // 2), (width // 2, height // 2)]
+            self._planes = [context.texture(s, 1, "f1", wrap_x=True) for s in sizes]
+            if self.is_packed:
+                self._packed = [context.texture((width // 4, rows), components, "f1", linear=False)
+                                for rows, components in ((height, 4), (height // 2, 2), (height // 2, 2))]
+        else:
+            self._planes = [context.texture(size, 4, "f1" if kind is RgbFrame else "f4", wrap_x=True)]
+        self._inverse_gain = context.texture((INVERSE_TABLE_SIZE, 1), 1, "f4")
+        self._inverse_gain.write(inverse_gain_table().tobytes())
+        self.format = YuvFormat()
+
+    def write(self, frame: Frame, *, only_packed: bool = False) -> None:
+        """Upload; `only_packed` leaves out what compositing needs and the reduction does not. Raises ValueError when the frame's size is not that of the textures."""
+        check_size(frame)
+        if type(frame) is not self.kind or frame.size != self.size:
+            raise ValueError(f"frame is {type(frame).__name__} {frame.size}, expected {self.kind.__name__} {self.size}")
+        if isinstance(frame, YuvFrame):
+            textures = self._packed if only_packed and self.is_packed else [*self._packed, *self._planes]
+            for index, texture in enumerate(textures):
+                texture.write(np.ascontiguousarray((frame.y, frame.u, frame.v)[index % 3]), alignment=1)
+            self.format = frame.format
+        else:
+            rgba = np.zeros((*frame.rgb.shape[:2], 4), dtype=frame.rgb.dtype)
+            rgba[..., :3] = frame.rgb
+            self._planes[0].write(rgba)
+
+    def bind(self, program: moderngl.Program) -> None:
+        names = ("luma_plane", "u_plane", "v_plane") if self.kind is YuvFrame else ("rgb_plane",)
+        for unit, (name, texture) in enumerate(zip(names, self._planes, strict=True), start=self.FIRST_UNIT):
+            texture.use(unit)
+            set_uniforms(program, {name: unit})
+        for unit, (name, texture) in enumerate(zip(("packed_luma", "packed_u", "packed_v"), self._packed, strict=False),
+                                               start=self.FIRST_UNIT + 4):
+            if name in program:
+                texture.use(unit)
+                set_uniforms(program, {name: unit})
+        self._inverse_gain.use(self.FIRST_UNIT + 3)
+        set_uniforms(program, {"inverse_gain_table": self.FIRST_UNIT + 3, "frame_size": self.size,
+                               "rgb_from_yuv": self.format.rgb_from_yuv().T})  # GL stores columns
+
+    def release(self) -> None:
+        for texture in (*self._planes, *self._packed, self._inverse_gain):
+            texture.release()

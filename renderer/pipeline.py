@@ -1,0 +1,223 @@
+"""The renderer: one frame and one scene in, the composited frame and its lights out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.color import linear_from_srgb, srgb_from_linear
+from renderer.composite import CompositeStage, GroundLight, Touched
+from renderer.frame import Frame, RadianceFrame, RgbFrame, YuvFrame, check_size
+from renderer.gl import Context
+from renderer.gltf import GltfError, transform
+from renderer.inverse_tone_mapping import WEIGHTS, linear_from_radiance
+from renderer.irradiance import irradiance, project
+from renderer.light_detection import Detection, detect
+from renderer.light_tracking import LightTracker
+from renderer.mesh import Surface
+from renderer.mesh_library import MeshLibrary
+from renderer.objects import MIRROR_BELOW, GpuMesh, Illumination, ObjectStage, PlacedMesh
+from renderer.panorama import PanoramaTextures
+from renderer.placement import TILE, View, plan_views, tile_grid, touched_tiles
+from renderer.radiance_map import RadianceMapStage
+from renderer.scene import Scene, SceneObject
+from renderer.shadows import ShadowStage, world_points
+from renderer.specular import prefilter, quantized_roughness
+
+Array = NDArray[np.float64]
+UP = np.array([0.0, 1.0, 0.0])
+MIN_CAMERA_DISTANCE_M = 0.05
+MIN_GROUND_SHARE = 0.02    # of the ground's irradiance; weaker lights cast no visible shadow
+
+
+@dataclass
+class Timings:
+    """Milliseconds of each stage of one frame."""
+
+    stages: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.stages[name] = self.stages.get(name, 0.0) + (time.perf_counter() - start) * 1e3
+
+    @property
+    def total(self) -> float:
+        return sum(self.stages.values())
+
+
+@dataclass(frozen=True)
+class FrameLight:
+    """The light of one frame: lights and residual, and the residual's (25, 3) spherical harmonics."""
+
+    detection: Detection
+    coefficients: Array
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """The composited frame; `errors` names the objects that could not be drawn and why."""
+
+    frame: Frame
+    light: FrameLight
+    touched_fraction: float
+    timings: Timings
+    errors: dict[str, str]
+
+
+class Pipeline:
+    """Renders frames of one kind and size. Owns all GL objects; use it on the context's thread only."""
+
+    def __init__(self, context: Context, kind: type[Frame], size: tuple[int, int], *, assets: Path | None = None,
+                 mesh_root: Path | None = None) -> None:
+        self._context = context
+        self._size = size
+        self._panorama = PanoramaTextures(context, kind, size)
+        self._radiance = RadianceMapStage(context, self._panorama)
+        self._objects = ObjectStage(context, self._panorama, self._radiance.texture)
+        self._shadows = ShadowStage(context)
+        self._composite = CompositeStage(context, self._panorama)
+        self._meshes = MeshLibrary(lambda mesh: GpuMesh(context, self._objects.surface_programs, mesh), assets, mesh_root)
+        self._tracker = LightTracker()
+
+    def analyse(self, frame: Frame) -> tuple[FrameLight, Timings]:
+        """Find the light of a frame without compositing anything."""
+        timings = Timings()
+        with timings.stage("upload"):
+            self._panorama.write(frame, only_packed=True)
+        return self._light(timings), timings
+
+    def render(self, frame: Frame, scene: Scene) -> Rendered:
+        """Composite the scene into the frame. The frame's own arrays stay as they are."""
+        self._context.assert_own_thread()
+        check_size(frame)
+        timings = Timings()
+        visible = [item for item in scene.objects if item.visible]
+        with timings.stage("upload"):
+            self._panorama.write(frame, only_packed=not visible)
+        light = self._light(timings)
+        if not visible:
+            return Rendered(frame, light, 0.0, timings, {})
+        with timings.stage("place"):
+            placed, errors = self._place(visible, scene)
+            outlines = [world_points(item) for item in placed.values()]
+            tiles = [touched_tiles(points, self._size) for points in outlines]
+            views = plan_views(outlines, tiles, self._size)
+        objects = list(placed.values())
+        with timings.stage("glossy"):
+            self._objects.set_illumination(self._illumination(scene, light, objects))
+        with timings.stage("shadows"):
+            ground = self._ground_light(scene, light)
+            maps, ambient = self._cast(scene, placed, light, ground) if ground else ([], [])
+        touched = self._run_composite(views, objects, maps, ambient, ground, timings)
+        with timings.stage("write"):
+            output = self._write(frame, touched)
+        self._context.collect()
+        return Rendered(output, light, len(touched) * TILE * TILE / (self._size[0] * self._size[1]), timings, errors)
+
+    def _light(self, timings: Timings) -> FrameLight:
+        with timings.stage("radiance_map"):
+            radiance_map = self._radiance.run()
+        with timings.stage("lights"):
+            detection = detect(radiance_map)
+            detection = Detection(self._tracker.update(detection.lights), detection.residual, detection.threshold)
+        with timings.stage("irradiance"):
+            return FrameLight(detection, project(detection.residual))
+
+    def _place(self, visible: list[SceneObject], scene: Scene) -> tuple[dict[str, PlacedMesh], dict[str, str]]:
+        placed: dict[str, PlacedMesh] = {}
+        errors: dict[str, str] = {}
+        for item in visible:
+            try:
+                mesh = self._meshes.get(item.mesh)
+            except GltfError as error:
+                errors[item.id] = str(error)
+                continue
+            candidate = PlacedMesh(mesh, transform(item.position, item.rotation, item.scale), _surface(item, mesh))
+            points = world_points(candidate)
+            if _contains_camera(points):
+                errors[item.id] = f"object {item.id!r} contains the camera, expected it to stay clear of the origin"
+            elif scene.ground.catcher and points[:, 1].max() <= -scene.camera_height:
+                errors[item.id] = f"object {item.id!r} is below the ground at y = {-scene.camera_height:g}"
+            else:
+                placed[item.id] = candidate
+        return placed, errors
+
+    def _illumination(self, scene: Scene, light: FrameLight, objects: list[PlacedMesh]) -> Illumination:
+        surfaces = [surface for item in objects
+                    for surface in ([item.surface] if item.surface else [part.surface for part in item.mesh.parts])]
+        wanted = {quantized_roughness(s.roughness) for s in surfaces if s.roughness >= MIRROR_BELOW}
+        residual = light.detection.residual
+        return Illumination(light.coefficients, light.detection.lights, {r: prefilter(residual, r) for r in wanted},
+                            -scene.camera_height if scene.ground.catcher else None)
+
+    def _ground_light(self, scene: Scene, light: FrameLight) -> GroundLight | None:
+        if not scene.ground.catcher:
+            return None
+        lights = [item.irradiance * max(float(item.direction @ UP), 0.0) for item in light.detection.lights]
+        ambient = np.maximum(irradiance(light.coefficients, UP), 0.0)
+        return GroundLight(-scene.camera_height, ambient + sum(lights, np.zeros(3)), lights, light.coefficients[:9])
+
+    def _cast(self, scene: Scene, placed: dict[str, PlacedMesh], light: FrameLight,
+              ground: GroundLight) -> tuple[list[Touched], list[Touched]]:
+        casters = {item.id: placed[item.id] for item in scene.objects if item.id in placed and item.casts_shadow}
+        gate = MIN_GROUND_SHARE * float(ground.total @ WEIGHTS)
+        self._shadows.begin()
+        self._shadows.forget_ambient(set(casters))
+        maps, ambient = [], []
+        for key, caster in casters.items():
+            for index, item in enumerate(light.detection.lights):
+                if ground.lights[index] @ WEIGHTS > gate:
+                    maps.append(self._shadows.light_shadow(caster, item, index, ground.y))
+            ambient.append(self._shadows.ambient_shadow(key, caster, ground.y))
+
+        def touched(shadows: list[object]) -> list[Touched]:
+            return [Touched(s, touched_tiles(s.outline(ground.y), self._size)) for s in shadows if s is not None]
+
+        return touched(maps), touched(ambient)
+
+    def _run_composite(self, views: list[View], objects: list[PlacedMesh], maps: list[Touched], ambient: list[Touched],
+                       ground: GroundLight | None, timings: Timings) -> NDArray[np.intp]:
+        def draw_view(view: View) -> tuple[moderngl.Texture, tuple[int, int]]:
+            return self._objects.draw(view, objects)
+
+        with timings.stage("objects_and_composite"):
+            tiles = self._composite.run(views, draw_view, maps, ambient, ground, self._shadows)
+            self._context.gl.finish()
+        return tiles
+
+    def _write(self, frame: Frame, tiles: NDArray[np.intp]) -> Frame:
+        if isinstance(frame, YuvFrame):
+            output = frame.copy()
+            self._composite.write_yuv(output, tiles)
+            return output
+        radiance, touched = self._composite.touched_radiance(tiles, frame)
+        if isinstance(frame, RadianceFrame):
+            return RadianceFrame(np.where(touched[..., None], radiance, frame.rgb))
+        signal = srgb_from_linear(np.clip(linear_from_radiance(radiance), 0.0, 1.0))
+        return RgbFrame(np.where(touched[..., None], np.round(signal * 255).astype(np.uint8), frame.rgb))
+
+    def release(self) -> None:
+        self._meshes.release()
+        for stage in (self._composite, self._shadows, self._objects, self._radiance, self._panorama):
+            stage.release()
+
+
+def _surface(item: SceneObject, mesh: GpuMesh) -> Surface | None:
+    if item.material is None:
+        return None
+    r, g, b = item.material.base_color
+    return Surface((r, g, b, 1.0), item.material.metallic, item.material.roughness, item.material.emissive,
+                   double_sided=any(part.surface.double_sided for part in mesh.parts))
+
+
+def _contains_camera(points: Array) -> bool:
+    return bool((points.min(axis=0) < MIN_CAMERA_DISTANCE_M).all() and (points.max(axis=0) > -MIN_CAMERA_DISTANCE_M).all())

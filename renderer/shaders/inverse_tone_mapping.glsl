@@ -1,0 +1,25 @@
+// Iorns & Rhee's operator and its inverse; the twin of renderer/inverse_tone_mapping.py.
+#include "srgb.glsl"
+const vec3 LUMINANCE_WEIGHTS = vec3(0.3, 0.59, 0.11);
+const float MAX_RADIANCE = 6.0e4;   // below the largest half float
+const float PEAK_GAIN = 11.8;
+
+uniform sampler2D inverse_gain_table;   // R32F, 1 / k by sqrt(luminance / peak)
+
+// Comparisons with NaN are false, so it becomes 0; min and max are undefined for it.
+float sanitize(float x) { return x >= 0.0 ? (x < MAX_RADIANCE ? x : MAX_RADIANCE) : 0.0; }
+vec3 sanitize(vec3 c) { return vec3(sanitize(c.r), sanitize(c.g), sanitize(c.b)); }
+
+vec3 radiance_from_linear(vec3 rgb) {
+    float luminance = clamp(dot(rgb, LUMINANCE_WEIGHTS), 0.0, 1.0);
+    float s = luminance <= 0.0031308 ? luminance * 12.92 : 1.055 * pow(luminance, 1.0 / 2.4) - 0.055;
+    float s2 = s * s, s4 = s2 * s2;
+    return rgb * (10.0 * s4 * s4 * s2 + 1.8);
+}
+
+vec3 linear_from_radiance(vec3 radiance) {
+    float position = sqrt(clamp(dot(radiance, LUMINANCE_WEIGHTS) / PEAK_GAIN, 0.0, 1.0));
+    float size = float(textureSize(inverse_gain_table, 0).x);
+    vec2 uv = vec2((position * (size - 1.0) + 0.5) / size, 0.5);
+    return radiance * textureLod(inverse_gain_table, uv, 0.0).r;
+}

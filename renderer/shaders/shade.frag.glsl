@@ -1,0 +1,151 @@
+// glTF metallic-roughness under the light of the frame, once for every pixel of a view: spherical harmonics and lights for
+// the diffuse part, a prefiltered map (or the frame itself, for mirrors) and lights for the glossy part. Camera at the origin.
+#include "equirectangular.glsl"
+#include "panorama.glsl"
+
+const int MAX_LIGHTS = 8;
+const int MAX_LOBES = 16;
+
+uniform sampler2D normal_coverage;      // resolved: everything is weighted by coverage
+uniform sampler2D color_metallic;
+uniform sampler2D emissive_roughness;
+uniform sampler2D distance_from_camera;
+uniform mat3 world_from_view;           // columns: right, up, forward
+uniform vec4 view_bounds;               // left, bottom, width, height on the tangent plane
+uniform vec2 view_size;
+
+uniform vec3 irradiance_sh[25];         // A_l L_lm
+uniform int light_count;
+uniform vec3 light_direction[MAX_LIGHTS];
+uniform vec3 light_irradiance[MAX_LIGHTS];
+uniform float light_radius[MAX_LIGHTS];
+uniform sampler2D lobe_atlas;           // maps prefiltered for each roughness in use, lights taken out
+uniform vec4 lobe[MAX_LOBES];           // roughness; u scale, v offset, v scale in the atlas
+uniform vec2 lobe_border;               // half a texel of padding: u offset, unused
+uniform int lobe_count;
+uniform sampler2D radiance_map;         // lights included
+uniform sampler2D dfg_table;
+uniform float mirror_below;             // roughness
+uniform float ground_y;
+uniform int has_ground;
+
+out vec4 radiance;
+
+// Bands 0, 1, 2 and 4; the third carries no irradiance. Constants as in renderer/irradiance.py.
+vec3 sh_irradiance(vec3 n) {
+    float x = n.x, y = n.y, z = n.z, x2 = x * x, y2 = y * y, z2 = z * z;
+    vec3 e = 0.2820947918 * irradiance_sh[0]
+        + 0.4886025119 * (y * irradiance_sh[1] + z * irradiance_sh[2] + x * irradiance_sh[3])
+        + 1.0925484306 * (x * y * irradiance_sh[4] + y * z * irradiance_sh[5] + x * z * irradiance_sh[7])
+        + 0.3153915653 * (3.0 * z2 - 1.0) * irradiance_sh[6] + 0.5462742153 * (x2 - y2) * irradiance_sh[8];
+    e += 2.5033429418 * x * y * (x2 - y2) * irradiance_sh[16] + 1.7701307698 * y * z * (3.0 * x2 - y2) * irradiance_sh[17]
+        + 0.9461746958 * x * y * (7.0 * z2 - 1.0) * irradiance_sh[18]
+        + 0.6690465436 * y * z * (7.0 * z2 - 3.0) * irradiance_sh[19]
+        + 0.1057855469 * (35.0 * z2 * z2 - 30.0 * z2 + 3.0) * irradiance_sh[20]
+        + 0.6690465436 * x * z * (7.0 * z2 - 3.0) * irradiance_sh[21]
+        + 0.4730873479 * (x2 - y2) * (7.0 * z2 - 1.0) * irradiance_sh[22]
+        + 1.7701307698 * x * z * (x2 - 3.0 * y2) * irradiance_sh[23]
+        + 0.6258357354 * (x2 * (x2 - 3.0 * y2) - y2 * (3.0 * x2 - y2)) * irradiance_sh[24];
+    return max(e, 0.0);
+}
+
+// Where a reflected ray ends: on the ground it is seen by the camera in another direction than it left the object.
+vec3 seen_direction(vec3 from, vec3 ray) {
+    if (has_ground == 0 || ray.y > -1e-4 || from.y <= ground_y) return ray;
+    return normalize(from + ray * ((ground_y - from.y) / ray.y));
+}
+
+// A mirror's pixel sees a patch of the frame: a few taps over it, and the small map when the patch is larger than that.
+vec3 mirror_radiance(vec3 direction, vec3 step_x, vec3 step_y) {
+    float footprint = max(length(step_x), length(step_y));
+    float pixel = 2.0 * PI / float(frame_size.x);
+    float taps = clamp(ceil(footprint / pixel), 1.0, 3.0);
+    vec3 sum = vec3(0.0);
+    for (float i = 0.5; i < taps; i += 1.0)
+        for (float j = 0.5; j < taps; j += 1.0)
+            sum += panorama_radiance(uv_from_direction(direction + step_x * (i / taps - 0.5) + step_y * (j / taps - 0.5)));
+    float texel = 2.0 * PI / float(textureSize(radiance_map, 0).x);
+    float coarse = smoothstep(0.5 * texel, texel, footprint);
+    return mix(sum / (taps * taps), textureLod(radiance_map, uv_from_direction(direction), 0.0).rgb, coarse);
+}
+
+vec3 lobe_at(int i, vec2 uv) {
+    return textureLod(lobe_atlas, vec2(lobe_border.x + uv.x * lobe[i].y, lobe[i].z + uv.y * lobe[i].w), 0.0).rgb;
+}
+
+// Between materials a resolved pixel may have any roughness: the two nearest maps, weighted.
+vec3 prefiltered_radiance(vec3 direction, float rough) {
+    vec2 uv = uv_from_direction(direction);
+    int upper = 0;
+    while (upper < lobe_count - 1 && lobe[upper].x < rough - 2e-3) ++upper;
+    int lower = upper > 0 && lobe[upper].x > rough + 6e-3 ? upper - 1 : upper;
+    vec3 value = lobe_at(upper, uv);
+    if (lower != upper)
+        value = mix(lobe_at(lower, uv), value, clamp((rough - lobe[lower].x) / (lobe[upper].x - lobe[lower].x), 0.0, 1.0));
+    return value;
+}
+
+// Height-correlated Smith visibility times GGX, alpha widened by the light's size (Karis 2013) without losing energy.
+float ggx_reflection(float n_dot_h, float n_dot_l, float n_dot_v, float alpha, float alpha_light) {
+    float a2 = alpha_light * alpha_light;
+    float d = n_dot_h * n_dot_h * (a2 - 1.0) + 1.0;
+    float b2 = alpha * alpha;
+    float v = 0.5 / (n_dot_l * sqrt(n_dot_v * n_dot_v * (1.0 - b2) + b2) + n_dot_v * sqrt(n_dot_l * n_dot_l * (1.0 - b2) + b2));
+    return a2 / (PI * d * d) * v;
+}
+
+struct Surface { vec3 normal; vec3 position; vec3 color; float metallic; vec3 emissive; float roughness; };
+
+vec3 shade(Surface s, vec3 view, vec3 reflected, vec3 step_x, vec3 step_y) {
+    float n_dot_v = clamp(dot(s.normal, view), 1e-3, 1.0);
+    float alpha = max(s.roughness * s.roughness, 2e-3);
+    bool mirror = s.roughness < mirror_below;
+    vec3 f0 = mix(vec3(0.04), s.color, s.metallic);
+    vec2 ab = textureLod(dfg_table, vec2(n_dot_v, s.roughness), 0.0).rg;
+    vec3 compensation = 1.0 + f0 * (1.0 / max(ab.x + ab.y, 1e-3) - 1.0);
+    vec3 reflectance = (f0 * ab.x + ab.y) * compensation;
+
+    vec3 e = sh_irradiance(s.normal);
+    vec3 glossy = vec3(0.0);
+    for (int once = mirror ? 1 : 0; once > 0; --once) glossy = reflectance * mirror_radiance(reflected, step_x, step_y);
+    if (!mirror && lobe_count > 0) glossy = reflectance * prefiltered_radiance(reflected, s.roughness);
+    for (int i = 0; i < light_count; ++i) {
+        vec3 l = light_direction[i];
+        float n_dot_l = dot(s.normal, l);
+        if (n_dot_l <= 0.0) continue;
+        e += light_irradiance[i] * n_dot_l;
+        if (mirror) continue;   // the frame already shows the light
+        vec3 h = normalize(l + view);
+        float spread = ggx_reflection(clamp(dot(s.normal, h), 0.0, 1.0), n_dot_l, n_dot_v, alpha,
+                                      min(1.0, alpha + 0.5 * light_radius[i]));
+        vec3 fresnel = f0 + (1.0 - f0) * pow(1.0 - clamp(dot(view, h), 0.0, 1.0), 5.0);
+        glossy += light_irradiance[i] * n_dot_l * spread * fresnel * compensation;
+    }
+    return s.color * (1.0 - s.metallic) * (1.0 - reflectance) * e / PI + glossy + s.emissive;
+}
+
+void main() {
+    ivec2 pixel = ivec2(gl_FragCoord.xy);
+    vec4 normal = texelFetch(normal_coverage, pixel, 0);
+    float coverage = normal.a;
+    vec3 direction = normalize(world_from_view * vec3(view_bounds.xy + gl_FragCoord.xy / view_size * view_bounds.zw, 1.0));
+    Surface s;
+    s.normal = normalize(normal.xyz + vec3(0.0, 1e-6, 0.0));
+    float facing = dot(s.normal, direction);
+    if (facing > 0.0) s.normal = normalize(s.normal - direction * (facing + 1e-3)); // an interpolated normal may look away
+    float share = 1.0 / max(coverage, 1e-4);
+    s.position = direction * texelFetch(distance_from_camera, pixel, 0).r * share;
+    vec3 reflected = seen_direction(s.position, reflect(direction, s.normal));
+    vec3 step_x = dFdx(reflected), step_y = dFdy(reflected);
+    radiance = vec4(0.0);
+    // a loop, because a software renderer runs both sides of an if but leaves a loop that no pixel enters
+    for (int once = coverage > 0.0 ? 1 : 0; once > 0; --once) {
+        vec4 color = texelFetch(color_metallic, pixel, 0) * share;
+        vec4 emissive = texelFetch(emissive_roughness, pixel, 0) * share;
+        s.color = color.rgb;
+        s.metallic = color.a;
+        s.emissive = emissive.rgb;
+        s.roughness = emissive.a;
+        radiance = vec4(sanitize(shade(s, -direction, reflected, step_x, step_y)) * coverage, coverage);
+    }
+}

@@ -1,0 +1,45 @@
+// What the surface is, not yet how it looks: shading happens once a pixel afterwards, because a software rasteriser runs a
+// fragment shader for 4 x 4 pixels of every triangle, however small.
+uniform vec4 base_color;
+uniform float metallic;
+uniform float roughness;
+uniform vec3 emissive;
+#if TEXTURED
+#include "srgb.glsl"
+uniform float alpha_cutoff;             // negative: opaque
+uniform int has_textures;               // bit 0 base colour, 1 metallic-roughness, 2 emissive
+uniform sampler2D base_color_texture;
+uniform sampler2D metallic_roughness_texture;
+uniform sampler2D emissive_texture;
+#endif
+
+in vec3 world_position;
+in vec3 world_normal;
+in vec2 texture_uv;
+
+layout(location = 0) out vec4 normal_coverage;
+layout(location = 1) out vec4 color_metallic;
+layout(location = 2) out vec4 emissive_roughness;
+layout(location = 3) out float distance_from_camera;
+
+void main() {
+    normal_coverage = vec4(normalize(world_normal), 1.0);
+    color_metallic = vec4(base_color.rgb, metallic);
+    emissive_roughness = vec4(emissive, roughness);
+    distance_from_camera = length(world_position);
+#if TEXTURED
+    float alpha = base_color.a;
+    if ((has_textures & 1) != 0) {
+        vec4 t = texture(base_color_texture, texture_uv);
+        color_metallic.rgb *= linear_from_srgb(t.rgb);
+        alpha *= t.a;
+    }
+    if (alpha < alpha_cutoff) discard;
+    if ((has_textures & 2) != 0) {
+        vec4 t = texture(metallic_roughness_texture, texture_uv);
+        color_metallic.a *= t.b;
+        emissive_roughness.a *= t.g;
+    }
+    if ((has_textures & 4) != 0) emissive_roughness.rgb *= linear_from_srgb(texture(emissive_texture, texture_uv).rgb);
+#endif
+}

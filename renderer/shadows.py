@@ -1,0 +1,208 @@
+"""Shadows on the ground plane: area lights as many projected hard shadows, the residual's occlusion as a transfer vector.
+
+No shadow map in the usual sense: proxies are projected onto the plane along each sample direction of a light and counted
+(Heckbert & Herf 1997), so there is no bias to tune, contact is exact and the penumbra follows from the light's size. What the
+objects hide of the residual depends on geometry alone, so it is kept until an object moves and costs one dot product a frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.gl import GL_CLIP_DISTANCE0, Context, set_uniforms
+from renderer.light_detection import Light
+from renderer.objects import PlacedMesh
+
+Array = NDArray[np.float64]
+CELL = 256                 # texels a side of one light's shadow map
+AMBIENT_CELL = 128
+GRID = 8                   # cells a side of either atlas
+MAX_SAMPLES = 32
+AMBIENT_SAMPLES = 96
+MIN_ELEVATION = np.sin(np.radians(3.0))   # of a sample; flatter ones would cast without end
+MAX_REACH_M = 40.0
+_PADDING = 3.0 / CELL
+
+
+@dataclass(frozen=True)
+class ShadowMap:
+    """Cell of the atlas, ground rectangle (x0, z0, x1, z1) in metres, index of the light (-1: the residual)."""
+
+    cell: int
+    rect: tuple[float, float, float, float]
+    light: int
+
+    def scaled_rect(self) -> tuple[float, float, float, float]:
+        x0, z0, x1, z1 = self.rect
+        return (x0, z0, 1 / (x1 - x0), 1 / (z1 - z0))
+
+    def cell_uv(self) -> tuple[float, float, float, float]:
+        return (self.cell % GRID / GRID, self.cell // GRID / GRID, 1 / GRID, 1 / GRID)
+
+    def outline(self, ground_y: float) -> Array:
+        """(n, 3) points on the edge of what the map covers: its rectangle, or for the residual the ellipse in it."""
+        x0, z0, x1, z1 = self.rect
+        if self.light < 0:
+            angle = np.linspace(0, 2 * np.pi, 65)
+            x, z = (x0 + x1) / 2 + (x1 - x0) / 2 * np.cos(angle), (z0 + z1) / 2 + (z1 - z0) / 2 * np.sin(angle)
+            return np.stack([x, np.full_like(x, ground_y), z], axis=1)
+        t = np.linspace(0, 1, 17)
+        x = np.concatenate([x0 + (x1 - x0) * t, x0 + (x1 - x0) * t, np.full(17, x0), np.full(17, x1)])
+        z = np.concatenate([np.full(17, z0), np.full(17, z1), z0 + (z1 - z0) * t, z0 + (z1 - z0) * t])
+        return np.stack([x, np.full_like(x, ground_y), z], axis=1)
+
+
+def disc_directions(direction: Array, angular_radius: float, count: int) -> Array:
+    """(count, 3) unit directions spread evenly over a disc of the sky (Fibonacci spiral)."""
+    helper = np.array([0.0, 1.0, 0.0]) if abs(direction[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
+    right = np.cross(direction, helper)
+    right /= np.linalg.norm(right)
+    up = np.cross(right, direction)
+    index = np.arange(count)
+    cosine = 1 - (index + 0.5) / count * (1 - np.cos(angular_radius))
+    sine = np.sqrt(np.maximum(1 - cosine**2, 0.0))
+    phi = index * np.pi * (3 - np.sqrt(5))
+    return np.asarray(cosine[:, None] * direction + (sine * np.cos(phi))[:, None] * right + (sine * np.sin(phi))[:, None] * up)
+
+
+def _hemisphere_directions(count: int) -> Array:
+    """(count, 3) cosine-distributed directions of the upper hemisphere; each stands for pi / count of irradiance."""
+    index = np.arange(count)
+    radius = np.sqrt((index + 0.5) / count)
+    phi = index * np.pi * (3 - np.sqrt(5))
+    return np.stack([radius * np.cos(phi), np.sqrt(1 - radius**2), radius * np.sin(phi)], axis=1)
+
+
+class ShadowStage:
+    """Owns the shadow programs and both atlases."""
+
+    def __init__(self, context: Context) -> None:
+        gl = self._gl = context.gl
+        self._light_program = context.program("shadow.vert.glsl", "shadow.frag.glsl")
+        self._ambient_program = context.program("shadow.vert.glsl", "ambient_shadow.frag.glsl")
+        size, ambient_size = (GRID * CELL,) * 2, (GRID * AMBIENT_CELL,) * 2
+        self.atlas = context.texture(size, 1, "f2")
+        self.transfer = [context.texture(ambient_size, 4, "f2") for _ in range(3)]
+        self._depth = [gl.depth_renderbuffer(size), gl.depth_renderbuffer(ambient_size)]
+        self._target = gl.framebuffer([self.atlas], self._depth[0])
+        self._ambient_target = gl.framebuffer(self.transfer, self._depth[1])
+        self._proxies: dict[int, tuple[PlacedMesh, Any, list[Any]]] = {}
+        self._ambient: dict[str, tuple[bytes, ShadowMap]] = {}
+        upper = _hemisphere_directions(AMBIENT_SAMPLES)
+        set_uniforms(self._ambient_program, {"sample_direction": np.pad(upper, ((0, 128 - AMBIENT_SAMPLES), (0, 0))),
+                                             "sample_count": AMBIENT_SAMPLES, "weight": np.pi / AMBIENT_SAMPLES})
+
+    def begin(self) -> None:
+        """Bind state for a frame's light shadows, and forget the last frame's."""
+        self._used = 0
+
+    def light_shadow(self, placed: PlacedMesh, light: Light, light_index: int, ground_y: float) -> ShadowMap | None:
+        """Draw one object's shadow from one light. None when there is nothing to see or no cell left."""
+        points = world_points(placed)
+        height = float(points[:, 1].max()) - ground_y
+        if height <= 0.0 or self._used >= GRID * GRID:
+            return None
+        rim = np.concatenate([[light.direction], disc_directions(light.direction, light.angular_radius, 12)])
+        rim = rim[rim[:, 1] > MIN_ELEVATION]
+        if not len(rim):
+            return None
+        rect = _ground_rect(points, rim, ground_y)
+        texel = max(rect[2] - rect[0], rect[3] - rect[1]) / CELL
+        elevation = max(float(light.direction[1]), 0.05)
+        penumbra = 2 * light.angular_radius * height / elevation**2
+        count = 1 if penumbra < texel else int(np.clip(penumbra / texel, 8, MAX_SAMPLES))
+        samples = disc_directions(light.direction, light.angular_radius, count) if count > 1 else light.direction[None]
+        samples = samples[samples[:, 1] > MIN_ELEVATION]
+        if not len(samples):
+            return None
+        shadow = ShadowMap(self._used, rect, light_index)
+        self._used += 1
+        set_uniforms(self._light_program, {
+            "sample_direction": np.pad(samples, ((0, 128 - len(samples)), (0, 0))), "sample_count": len(samples),
+            "weight": 1.0 / count})
+        self._draw(self._target, CELL, self._light_program, 0, placed, shadow, ground_y, len(samples))
+        return shadow
+
+    def ambient_shadow(self, key: str, placed: PlacedMesh, ground_y: float) -> ShadowMap | None:
+        """What one object hides of the residual; drawn only when `key`'s geometry has changed."""
+        state = placed.world_from_model.tobytes() + np.float64(ground_y).tobytes() + id(placed.mesh).to_bytes(8, "little")
+        kept = self._ambient.get(key)
+        if kept is not None and kept[0] == state:
+            return kept[1]
+        cells = {entry[1].cell for entry in self._ambient.values()}
+        cell = kept[1].cell if kept else next((c for c in range(GRID * GRID) if c not in cells), None)
+        points = world_points(placed)
+        if cell is None or float(points[:, 1].max()) <= ground_y:
+            self._ambient.pop(key, None)
+            return None
+        low, high = points.min(axis=0), points.max(axis=0)
+        reach = 1.4 * max(high[1] - ground_y, 0.3 * float(np.linalg.norm(high - low)))
+        shadow = ShadowMap(cell, (float(low[0] - reach), float(low[2] - reach), float(high[0] + reach),
+                                  float(high[2] + reach)), -1)
+        self._ambient[key] = (state, shadow)
+        self._draw(self._ambient_target, AMBIENT_CELL, self._ambient_program, 1, placed, shadow, ground_y, AMBIENT_SAMPLES)
+        return shadow
+
+    def forget_ambient(self, keys: set[str]) -> None:
+        """Free the cells of objects that are gone: all but `keys`."""
+        for key in set(self._ambient) - keys:
+            del self._ambient[key]
+
+    def _draw(self, target: moderngl.Framebuffer, cell_size: int, program: moderngl.Program, which: int,
+              placed: PlacedMesh, shadow: ShadowMap, ground_y: float, samples: int) -> None:
+        gl = self._gl
+        viewport = (shadow.cell % GRID * cell_size, shadow.cell // GRID * cell_size, cell_size, cell_size)
+        target.use()
+        target.viewport = viewport
+        target.clear(0.0, 0.0, 0.0, 0.0, depth=1.0, viewport=viewport)
+        gl.enable_only(moderngl.DEPTH_TEST | moderngl.BLEND)
+        gl.enable_direct(GL_CLIP_DISTANCE0)
+        gl.depth_func = "<"
+        gl.blend_func = moderngl.ONE, moderngl.ONE
+        set_uniforms(program, {"world_from_model": placed.world_from_model.T, "ground_rect": shadow.scaled_rect(),
+                               "ground_y": ground_y})
+        self._proxy(placed)[which].render(instances=samples)
+        gl.disable_direct(GL_CLIP_DISTANCE0)
+        gl.enable_only(moderngl.NOTHING)
+
+    def _proxy(self, placed: PlacedMesh) -> list[moderngl.VertexArray]:
+        key = id(placed.mesh)
+        if key not in self._proxies:
+            points, triangles = placed.mesh.mesh.proxy
+            buffers = [self._gl.buffer(points.astype("f4").tobytes()), self._gl.buffer(triangles.astype("i4").tobytes())]
+            arrays = [self._gl.vertex_array(program, [(buffers[0], "3f", "position")], index_buffer=buffers[1],
+                                            index_element_size=4)
+                      for program in (self._light_program, self._ambient_program)]
+            self._proxies[key] = (placed, buffers, arrays)
+        return self._proxies[key][2]
+
+    def release(self) -> None:
+        for _, buffers, arrays in self._proxies.values():
+            for item in (*arrays, *buffers):
+                item.release()
+        for item in (self._target, self._ambient_target, self.atlas, *self.transfer, *self._depth, self._light_program,
+                     self._ambient_program):
+            item.release()
+
+
+def world_points(placed: PlacedMesh) -> Array:
+    """(n, 3) outline of the object in the world."""
+    matrix = placed.world_from_model
+    return np.asarray(placed.mesh.mesh.outline @ matrix[:3, :3].T + matrix[:3, 3])
+
+
+def _ground_rect(points: Array, directions: Array, ground_y: float) -> tuple[float, float, float, float]:
+    above = points[points[:, 1] > ground_y]
+    heights = (above[:, 1] - ground_y)[:, None]
+    offset_x, offset_z = (heights * (directions[:, axis] / directions[:, 1])[None, :] for axis in (0, 2))
+    x, z = above[:, :1] - offset_x, above[:, 2:] - offset_z
+    centre = above.mean(axis=0)
+    low = [max(float(v.min()), float(c) - MAX_REACH_M) for v, c in ((x, centre[0]), (z, centre[2]))]
+    high = [min(float(v.max()), float(c) + MAX_REACH_M) for v, c in ((x, centre[0]), (z, centre[2]))]
+    pad = [max((b - a) * _PADDING, 1e-3) for a, b in zip(low, high, strict=True)]
+    return (low[0] - pad[0], low[1] - pad[1], high[0] + pad[0], high[1] + pad[1])

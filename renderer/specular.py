@@ -1,0 +1,120 @@
+"""Glossy light: the radiance map prefiltered with the GGX lobe of exactly the roughness values in use, and the split sum.
+
+Prefiltering (Karis 2013, N = V = R) is a convolution with a kernel that depends on the angle only. On the equirectangular
+grid it is circular in azimuth, so a Fourier transform over the columns turns it into one small matrix product per
+frequency: exact, seamless, and its matrices depend on geometry alone. Reflectance is split as F0 A + B with energy
+compensation for multiple scattering (Fdez-Aguera 2019).
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.equirectangular import solid_angles
+
+Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+MIN_ROUGHNESS = 0.2     # a narrower lobe is nearer to a mirror than to any map this small
+ROUGHNESS_STEP = 1 / 128
+DFG_SIZE = 64
+_SUBSAMPLES = 3
+
+
+def quantized_roughness(roughness: float) -> float:
+    """The roughness for which a map is prefiltered: rounded to a step that no eye sees, so that kernels are reused."""
+    return max(MIN_ROUGHNESS, round(roughness / ROUGHNESS_STEP) * ROUGHNESS_STEP)
+
+
+def map_rows(roughness: float) -> int:
+    """Rows of the prefiltered map: texels of at most 0.8 alpha rad keep the error below about 1.5 %."""
+    alpha = roughness * roughness
+    return next((rows for rows in (16, 32, 64) if np.pi / rows <= 0.8 * alpha), 64) if alpha > 0 else 64
+
+
+def ggx_lobe(cos_angle: NDArray[np.floating], roughness: float) -> Array:
+    """Unnormalised weight of light at an angle from the mirror direction for N = V: D(h) N.L with h half-way."""
+    alpha2 = roughness**4
+    cos_half2 = 0.5 * (1.0 + np.asarray(cos_angle, dtype=np.float64))
+    denominator = 1.0 + cos_half2 * (alpha2 - 1.0)
+    return np.asarray(np.maximum(cos_angle, 0.0) / (denominator * denominator))
+
+
+def prefilter(radiance: Array, roughness: float) -> Array32:
+    """(height, width, 3) map to (rows, 2 rows, 3) radiance as a GGX lobe of that roughness sees it."""
+    rows = map_rows(roughness)
+    small = resample(radiance, rows, 2 * rows)
+    spectrum = np.fft.rfft(small, axis=1).transpose(1, 0, 2)  # frequency, row, channel
+    parts = np.concatenate([spectrum.real, spectrum.imag], axis=2).astype(np.float32)
+    filtered = _kernel(quantized_roughness(roughness), rows) @ parts
+    lobes = np.fft.irfft((filtered[..., :3] + 1j * filtered[..., 3:]).transpose(1, 0, 2), n=2 * rows, axis=1)
+    return np.maximum(lobes, 0.0).astype(np.float32)
+
+
+@lru_cache(maxsize=32)
+def _kernel(roughness: float, rows: int) -> Array32:
+    """(frequencies, rows out, rows in) real spectrum over azimuth of the normalised, solid-angle weighted lobe."""
+    columns = 2 * rows
+    offsets = (np.arange(_SUBSAMPLES) + 0.5) / _SUBSAMPLES
+    theta_out = (np.arange(rows) + 0.5) / rows * np.pi
+    kernel = np.zeros((rows, rows, columns))
+    for row_offset in offsets:
+        theta_in = (np.arange(rows) + row_offset) / rows * np.pi
+        for column_offset in offsets:
+            azimuth = (np.arange(columns) + column_offset - 0.5) / columns * 2 * np.pi
+            cosine = (np.cos(theta_out)[:, None, None] * np.cos(theta_in)[None, :, None]
+                      + np.sin(theta_out)[:, None, None] * np.sin(theta_in)[None, :, None] * np.cos(azimuth))
+            kernel += ggx_lobe(cosine, roughness) * np.sin(theta_in)[None, :, None]
+    kernel /= kernel.sum(axis=(1, 2), keepdims=True)
+    spectrum = np.fft.rfft(kernel, axis=2).real  # the kernel is even in azimuth
+    return np.ascontiguousarray(spectrum.transpose(2, 0, 1), dtype=np.float32)
+
+
+def resample(radiance: Array, rows: int, columns: int) -> Array:
+    """Area-weighted, solid-angle-true resampling of a map to any smaller size; total power is kept exactly."""
+    height, width = radiance.shape[:2]
+    power = radiance * solid_angles(height, width)[..., None]
+    if height % rows == 0 and width % columns == 0:
+        power = power.reshape(rows, height // rows, columns, width // columns, 3).sum(axis=(1, 3))
+    else:
+        power = (_overlap(height, rows) @ power.reshape(height, -1)).reshape(rows, width, 3)
+        power = _overlap(width, columns) @ power
+    return np.asarray(power / solid_angles(rows, columns)[..., None])
+
+
+@lru_cache(maxsize=16)
+def _overlap(source: int, target: int) -> Array:
+    """(target, source) share of each source cell that lies in each target cell."""
+    source_edges = np.arange(source + 1) / source
+    target_edges = np.arange(target + 1) / target
+    low = np.maximum(source_edges[None, :-1], target_edges[:-1, None])
+    high = np.minimum(source_edges[None, 1:], target_edges[1:, None])
+    return np.asarray(np.maximum(high - low, 0.0) * source)
+
+
+@lru_cache(maxsize=1)
+def dfg_table() -> Array32:
+    """(DFG_SIZE roughness rows, DFG_SIZE N.V columns, 2): scale A and bias B of F0 for one GGX lobe, F90 = 1.
+
+    Importance-sampled with 512 stratified normals; height-correlated Smith shadowing.
+    """
+    n_dot_v = ((np.arange(DFG_SIZE) + 0.5) / DFG_SIZE)[None, :, None]
+    alpha = (((np.arange(DFG_SIZE) + 0.5) / DFG_SIZE) ** 2)[:, None, None]
+    samples = 512
+    u1 = (np.arange(samples) + 0.5) / samples
+    phi = 2 * np.pi * ((np.arange(samples) * 0.6180339887498949) % 1.0)
+    cos_h = np.sqrt((1 - u1) / (1 + (alpha**2 - 1) * u1))
+    sin_h = np.sqrt(np.maximum(1 - cos_h**2, 0.0))
+    v_dot_h = np.sqrt(1 - n_dot_v**2) * sin_h * np.cos(phi) + n_dot_v * cos_h
+    n_dot_l = 2 * v_dot_h * cos_h - n_dot_v
+    valid = (n_dot_l > 0) & (v_dot_h > 0)
+    n_dot_l = np.where(valid, n_dot_l, 1.0)
+    v_dot_h = np.where(valid, v_dot_h, 1.0)
+    visibility = 0.5 / (n_dot_l * np.sqrt(n_dot_v**2 * (1 - alpha**2) + alpha**2)
+                        + n_dot_v * np.sqrt(n_dot_l**2 * (1 - alpha**2) + alpha**2))
+    weight = np.where(valid, 4 * visibility * n_dot_l * v_dot_h / cos_h, 0.0)
+    fresnel = (1 - v_dot_h) ** 5
+    table = np.stack([((1 - fresnel) * weight).mean(axis=2), (fresnel * weight).mean(axis=2)], axis=-1)
+    return table.astype(np.float32)
