@@ -19,13 +19,13 @@ LUMA_WEIGHTS: dict[str, tuple[float, float]] = {"bt601": (0.299, 0.114), "bt709"
 def linear_from_srgb(signal: NDArray[np.floating]) -> NDArray[np.float64]:
     """IEC 61966-2-1 decoding; negative input is mirrored so that the function stays odd."""
     s = np.abs(np.asarray(signal, dtype=np.float64))
-    return np.copysign(np.where(s <= 0.04045, s / 12.92, ((s + 0.055) / 1.055) ** 2.4), signal)
+    return np.asarray(np.copysign(np.where(s <= 0.04045, s / 12.92, ((s + 0.055) / 1.055) ** 2.4), signal))
 
 
 def srgb_from_linear(linear: NDArray[np.floating]) -> NDArray[np.float64]:
     """IEC 61966-2-1 encoding, the inverse of `linear_from_srgb`."""
     v = np.abs(np.asarray(linear, dtype=np.float64))
-    return np.copysign(np.where(v <= 0.0031308, v * 12.92, 1.055 * v ** (1 / 2.4) - 0.055), linear)
+    return np.asarray(np.copysign(np.where(v <= 0.0031308, v * 12.92, 1.055 * v ** (1 / 2.4) - 0.055), linear))
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.frame import RadianceFrame, RgbFrame, YuvFrame
-from renderer.gl import Context, set_uniforms
+from renderer.gl import Context, release_all, set_uniforms
 from renderer.panorama import PanoramaTextures, source_defines
 from renderer.placement import TILE, TileMask, View
 from renderer.shadows import ShadowMap, ShadowStage
@@ -184,15 +184,11 @@ class CompositeStage:
         return radiance[..., :3], radiance[..., 3] > 0.5
 
     def _release_target(self) -> None:
-        for item in (self._framebuffer, *self._textures):
-            if item is not None:
-                item.release()
+        release_all(self._framebuffer, *self._textures)
 
     def release(self) -> None:
         self._release_target()
-        for item in (self._vertex_array, self._instances, self._program):
-            if item is not None:
-                item.release()
+        release_all(self._vertex_array, self._instances, self._program)
 
 
 def _padded(rows: list[tuple[float, ...]]) -> NDArray[np.float64]:

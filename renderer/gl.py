@@ -10,6 +10,7 @@ import re
 import threading
 from collections.abc import Mapping
 from importlib import resources
+from typing import Any, Protocol
 
 import moderngl
 import numpy as np
@@ -36,8 +37,8 @@ class Context:
 
     def __init__(self, *, require_gpu: bool = False) -> None:
         try:
-            self.gl = moderngl.create_context(standalone=True, backend="egl", require=430, libgl="libGL.so.1",
-                                              libegl="libEGL.so.1")
+            egl: dict[str, Any] = {"backend": "egl", "libgl": "libGL.so.1", "libegl": "libEGL.so.1"}
+            self.gl = moderngl.create_context(standalone=True, require=430, **egl)
         except Exception as error:  # glcontext raises bare Exception for everything from a missing library to no device
             raise GLUnavailableError(
                 f"no OpenGL 4.3 over EGL ({error}); install the packages libgl1 libegl1 libegl-mesa0 libgl1-mesa-dri"
@@ -129,11 +130,23 @@ def _named_line(match: re.Match[str], files: list[str]) -> str:
     return f"{files[index]}:{line}" if index < len(files) else match.group(0)
 
 
+class Releasable(Protocol):
+    """What every GL object is."""
+
+    def release(self) -> None: ...
+
+
+def release_all(*items: Releasable | None) -> None:
+    for item in items:
+        if item is not None:
+            item.release()
+
+
 def set_uniforms(program: moderngl.Program, values: Mapping[str, object]) -> None:
     """Set uniforms by name. One that the compiler has removed as unused is skipped; moderngl checks the others' shapes."""
     for name, value in values.items():
         member = program.get(name, None)
-        if member is None:
+        if not isinstance(member, moderngl.Uniform):
             continue
         if isinstance(value, np.ndarray):
             member.write(np.ascontiguousarray(value, dtype="f4").tobytes())

@@ -96,7 +96,7 @@ class _Model:
             raise GltfError(f"{part}: accessor {index} ends outside its buffer view")
         values = np.ndarray((accessor.count, width), dtype, data, start, (stride, dtype.itemsize)).copy()
         if accessor.normalized and dtype.kind in "iu":
-            return np.asarray(np.maximum(values / np.iinfo(dtype).max, -1.0), dtype=np.float32)
+            return np.asarray(np.maximum(values / float(np.iinfo(dtype.name).max), -1.0), dtype=np.float32)
         return values
 
     def mesh(self) -> Mesh:
@@ -166,7 +166,7 @@ class _Model:
         offsets = np.cumsum([0] + [len(part[0]) for part in parts[:-1]])
         arrays = [np.ascontiguousarray(np.concatenate([part[i] for part in parts])) for i in range(3)]
         triangles = np.concatenate([part[3] + offset for part, offset in zip(parts, offsets, strict=True)])
-        return Primitive(*arrays, triangles.astype(np.int32), surface)
+        return Primitive(arrays[0], arrays[1], arrays[2], triangles.astype(np.int32), surface)
 
     def surface(self, index: int | None) -> Surface:
         if index is None:

@@ -60,4 +60,4 @@ def project(radiance: NDArray[np.floating]) -> Array:
 
 def irradiance(coefficients: NDArray[np.floating], normal: NDArray[np.floating]) -> Array:
     """Irradiance (..., 3) on (..., 3) unit normals from (25, 3) radiance coefficients. May be slightly negative."""
-    return (basis(normal) * COSINE_LOBE) @ coefficients
+    return np.asarray((basis(normal) * COSINE_LOBE) @ coefficients)

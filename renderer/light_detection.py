@@ -85,7 +85,7 @@ def _threshold(luminance: Array) -> float:
     weights = solid_angles(*luminance.shape) / (4 * np.pi)
     mean = float((luminance * weights).sum())
     variance = float(((luminance - mean) ** 2 * weights).sum())
-    return mean + SIGMAS * np.sqrt(variance)
+    return float(mean + SIGMAS * np.sqrt(variance))
 
 
 def luminance_of(radiance: Array) -> Array:
@@ -129,7 +129,7 @@ class _Components:
         self._solid_angle = np.broadcast_to(solid_angles(*labels.shape), labels.shape)[self._where]
 
     def _sums(self, values: Array) -> Array:
-        return np.bincount(self._label, weights=values, minlength=self._count + 1)
+        return np.asarray(np.bincount(self._label, weights=values, minlength=self._count + 1), dtype=np.float64)
 
     def raise_threshold(self, components: list[int], threshold: Array) -> None:
         """Half-way between its threshold and its maximum for each of these components, in place."""

@@ -139,7 +139,8 @@ def sphere(rows: int = 32, columns: int = 64) -> Mesh:
 
 def box() -> Mesh:
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 0.5
-    positions, normals, uvs, triangles = [], [], [], []
+    positions: list[NDArray[np.float64]] = []
+    normals, uvs, triangles = [], [], []
     for axis in range(3):
         for sign in (-1.0, 1.0):
             face = np.zeros((4, 3))
@@ -170,7 +171,8 @@ def cylinder(columns: int = 64) -> Mesh:
         parts.append((points, np.tile([0.0, np.sign(y), 0.0], (len(points), 1)), points[:, [0, 2]] + 0.5,
                       fan if y > 0 else fan[:, ::-1]))
     offsets = np.cumsum([0] + [len(p[0]) for p in parts[:-1]])
-    return Mesh((Primitive(*(_f4(np.concatenate([p[i] for p in parts])) for i in range(3)),
+    points, normals, uvs = (_f4(np.concatenate([p[i] for p in parts])) for i in range(3))
+    return Mesh((Primitive(points, normals, uvs,
                            np.concatenate([p[3] + o for p, o in zip(parts, offsets, strict=True)]).astype(np.int32)),))
 
 

@@ -12,7 +12,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.gl import GL_CLIP_DISTANCE0, Context, set_uniforms
+from renderer.gl import GL_CLIP_DISTANCE0, Context, release_all, set_uniforms
 from renderer.irradiance import COSINE_LOBE
 from renderer.light_detection import Light
 from renderer.mesh import Mesh, Primitive, Surface
@@ -25,6 +25,7 @@ SAMPLES = 4
 SIZE_STEP = 64            # view targets come in a few sizes, so that moving objects do not allocate
 FIRST_UNIT = 8            # texture units after the panorama's
 BELOW_NOTHING = -1e9
+NO_TEXTURES: list[moderngl.Texture | None] = [None, None, None]
 MAX_LOBES = 16         # roughness values in one frame; as in shade.frag.glsl
 MIRROR_BELOW = MIN_ROUGHNESS / 2
 
@@ -77,8 +78,7 @@ class _Part:
             for textured, program in programs.items()}
 
     def release(self) -> None:
-        for item in (*self.vertex_arrays.values(), *self._buffers, *(t for t in self.textures if t is not None)):
-            item.release()
+        release_all(*self.vertex_arrays.values(), *self._buffers, *self.textures)
 
 
 def _material_texture(context: Context, image: NDArray[np.uint8] | None) -> moderngl.Texture | None:
@@ -106,8 +106,7 @@ class _ViewTarget:
         self.shaded = gl.framebuffer([self.texture])
 
     def release(self) -> None:
-        for item in (self.framebuffer, self.resolved, self.shaded, self.texture, *self.surface, *self._samples, self._depth):
-            item.release()
+        release_all(self.framebuffer, self.resolved, self.shaded, self.texture, *self.surface, *self._samples, self._depth)
 
 
 class ObjectStage:
@@ -203,7 +202,7 @@ class ObjectStage:
                       "normal_from_model": np.linalg.inv(linear)}  # its transpose, in GL's column order
         for part in placed.mesh.parts:
             surface = placed.surface or part.surface
-            textures = [None] * 3 if placed.surface else part.textures
+            textures = NO_TEXTURES if placed.surface else part.textures
             textured = any(textures) or surface.alpha_cutoff is not None
             program = self.surface_programs[textured]
             if surface.double_sided:
@@ -245,6 +244,5 @@ class ObjectStage:
         self._triangle.render(moderngl.TRIANGLES, 3)
 
     def release(self) -> None:
-        for item in (*self._targets.values(), self._lobe_atlas, self._dfg, self._triangle, self._program,
-                     *self.surface_programs.values()):
-            item.release()
+        release_all(*self._targets.values(), self._lobe_atlas, self._dfg, self._triangle, self._program,
+                     *self.surface_programs.values())

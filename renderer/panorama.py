@@ -7,7 +7,7 @@ import numpy as np
 
 from renderer.color import YuvFormat
 from renderer.frame import Frame, RadianceFrame, RgbFrame, YuvFrame, check_size
-from renderer.gl import Context, set_uniforms
+from renderer.gl import Context, release_all, set_uniforms
 from renderer.inverse_tone_mapping import INVERSE_TABLE_SIZE, inverse_gain_table
 
 KINDS: tuple[type, ...] = (YuvFrame, RgbFrame, RadianceFrame)
@@ -42,7 +42,10 @@ class PanoramaTextures:
         self.format = YuvFormat()
 
     def write(self, frame: Frame, *, only_packed: bool = False) -> None:
-        """Upload; `only_packed` leaves out what compositing needs and the reduction does not. Raises ValueError when the frame's size is not that of the textures."""
+        """Upload; `only_packed` leaves out what compositing needs and the reduction does not.
+
+        Raises ValueError when the frame's size is not that of the textures.
+        """
         check_size(frame)
         if type(frame) is not self.kind or frame.size != self.size:
             raise ValueError(f"frame is {type(frame).__name__} {frame.size}, expected {self.kind.__name__} {self.size}")
@@ -71,5 +74,4 @@ class PanoramaTextures:
                                "rgb_from_yuv": self.format.rgb_from_yuv().T})  # GL stores columns
 
     def release(self) -> None:
-        for texture in (*self._planes, *self._packed, self._inverse_gain):
-            texture.release()
+        release_all(*self._planes, *self._packed, self._inverse_gain)

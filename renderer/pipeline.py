@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,10 +12,10 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.color import linear_from_srgb, srgb_from_linear
+from renderer.color import srgb_from_linear
 from renderer.composite import CompositeStage, GroundLight, Touched
 from renderer.frame import Frame, RadianceFrame, RgbFrame, YuvFrame, check_size
-from renderer.gl import Context
+from renderer.gl import Context, release_all
 from renderer.gltf import GltfError, transform
 from renderer.inverse_tone_mapping import WEIGHTS, linear_from_radiance
 from renderer.irradiance import irradiance, project
@@ -25,10 +25,10 @@ from renderer.mesh import Surface
 from renderer.mesh_library import MeshLibrary
 from renderer.objects import MIRROR_BELOW, GpuMesh, Illumination, ObjectStage, PlacedMesh
 from renderer.panorama import PanoramaTextures
-from renderer.placement import TILE, View, plan_views, tile_grid, touched_tiles
+from renderer.placement import TILE, View, plan_views, touched_tiles
 from renderer.radiance_map import RadianceMapStage
 from renderer.scene import Scene, SceneObject
-from renderer.shadows import ShadowStage, world_points
+from renderer.shadows import ShadowMap, ShadowStage, world_points
 from renderer.specular import prefilter, quantized_roughness
 
 Array = NDArray[np.float64]
@@ -172,14 +172,15 @@ class Pipeline:
         gate = MIN_GROUND_SHARE * float(ground.total @ WEIGHTS)
         self._shadows.begin()
         self._shadows.forget_ambient(set(casters))
-        maps, ambient = [], []
+        maps: list[ShadowMap | None] = []
+        ambient: list[ShadowMap | None] = []
         for key, caster in casters.items():
             for index, item in enumerate(light.detection.lights):
                 if ground.lights[index] @ WEIGHTS > gate:
                     maps.append(self._shadows.light_shadow(caster, item, index, ground.y))
             ambient.append(self._shadows.ambient_shadow(key, caster, ground.y))
 
-        def touched(shadows: list[object]) -> list[Touched]:
+        def touched(shadows: list[ShadowMap | None]) -> list[Touched]:
             return [Touched(s, touched_tiles(s.outline(ground.y), self._size)) for s in shadows if s is not None]
 
         return touched(maps), touched(ambient)
@@ -205,10 +206,13 @@ class Pipeline:
         signal = srgb_from_linear(np.clip(linear_from_radiance(radiance), 0.0, 1.0))
         return RgbFrame(np.where(touched[..., None], np.round(signal * 255).astype(np.uint8), frame.rgb))
 
+    def reset(self) -> None:
+        """Forget the lights of earlier frames."""
+        self._tracker = LightTracker()
+
     def release(self) -> None:
         self._meshes.release()
-        for stage in (self._composite, self._shadows, self._objects, self._radiance, self._panorama):
-            stage.release()
+        release_all(self._composite, self._shadows, self._objects, self._radiance, self._panorama)
 
 
 def _surface(item: SceneObject, mesh: GpuMesh) -> Surface | None:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.frame import YuvFrame
-from renderer.gl import Context, set_uniforms
+from renderer.gl import Context, release_all, set_uniforms
 from renderer.inverse_tone_mapping import sanitize
 from renderer.panorama import PanoramaTextures, source_defines
 
@@ -68,5 +68,4 @@ class RadianceMapStage:
         return RadianceMap(sanitize(texels[..., :3]), texels[..., 3])
 
     def release(self) -> None:
-        for item in (self._triangle, self._target, self.texture, self._program):
-            item.release()
+        release_all(self._triangle, self._target, self.texture, self._program)

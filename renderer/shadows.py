@@ -14,7 +14,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.gl import GL_CLIP_DISTANCE0, Context, set_uniforms
+from renderer.gl import GL_CLIP_DISTANCE0, Context, release_all, set_uniforms
 from renderer.light_detection import Light
 from renderer.objects import PlacedMesh
 
@@ -183,11 +183,9 @@ class ShadowStage:
 
     def release(self) -> None:
         for _, buffers, arrays in self._proxies.values():
-            for item in (*arrays, *buffers):
-                item.release()
-        for item in (self._target, self._ambient_target, self.atlas, *self.transfer, *self._depth, self._light_program,
-                     self._ambient_program):
-            item.release()
+            release_all(*arrays, *buffers)
+        release_all(self._target, self._ambient_target, self.atlas, *self.transfer, *self._depth, self._light_program,
+                     self._ambient_program)
 
 
 def world_points(placed: PlacedMesh) -> Array:

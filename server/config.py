@@ -1,0 +1,163 @@
+"""Settings of the service: one frozen object; command line over environment over file over default."""
+
+from __future__ import annotations
+
+import ipaddress
+import json
+import os
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator
+from pydantic_core import ErrorDetails
+
+from server.source_url import IpNetwork, SourceUrlError, check_command_line_source
+
+ENVIRONMENT_PREFIX = "MR360_"
+
+
+class ConfigError(ValueError):
+    """A setting is unknown or has a value that cannot be used."""
+
+
+def _default_assets_dir() -> Path:
+    data_home = os.environ.get("XDG_DATA_HOME")
+    return (Path(data_home) if data_home else Path.home() / ".local" / "share") / "mr360" / "assets"
+
+
+def _comma_separated(value: Any) -> Any:
+    return [item.strip() for item in value.split(",") if item.strip()] if isinstance(value, str) else value
+
+
+class IceServer(BaseModel):
+    """A STUN or TURN server that viewers are told about in WHEP's `Link` header."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    url: Annotated[str, Field(pattern=r"^(stuns?|turns?):[^\s<>\"]+$")]
+    username: Annotated[str, Field(pattern=r"^[\x21\x23-\x5b\x5d-\x7e]*$")] = ""
+    credential: Annotated[str, Field(pattern=r"^[\x21\x23-\x5b\x5d-\x7e]*$")] = ""
+
+
+class Settings(BaseModel):
+    """Every setting, in the order of the documentation."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    host: Annotated[str, Field(min_length=1, max_length=253)] = "127.0.0.1"
+    port: Annotated[int, Field(ge=0, le=65535)] = 8360          # 0: any free port
+    source: str | None = None                                   # of the stream `live`
+    assets_dir: Path = Field(default_factory=_default_assets_dir)
+    max_viewers: Annotated[int, Field(ge=1, le=1000)] = 20      # of all streams together
+    max_streams: Annotated[int, Field(ge=1, le=64)] = 4
+    require_gpu: bool = False
+    bitrate_bps: Annotated[int, Field(ge=100_000, le=200_000_000)] | None = None    # None: by geometry
+    source_networks: Annotated[tuple[IpNetwork, ...], BeforeValidator(_comma_separated)] | None = None
+    """Networks outside the public internet that a source given over REST may lie in. None: any, as long as the
+    service itself listens on loopback only; otherwise none."""
+    allowed_origins: Annotated[tuple[str, ...], BeforeValidator(_comma_separated)] = ()
+    """Foreign web origins (`https://host`) that may use the API, WHEP and the WebSockets; `*` is any."""
+    ice_servers: tuple[IceServer, ...] = ()
+
+    @field_validator("source")
+    @classmethod
+    def _usable_source(cls, value: str | None) -> str | None:
+        return check_command_line_source(value) if value else None
+
+    @field_validator("assets_dir")
+    @classmethod
+    def _absolute(cls, value: Path) -> Path:
+        return value.expanduser().absolute()
+
+    @field_validator("allowed_origins")
+    @classmethod
+    def _plain_origins(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        for origin in value:
+            scheme, _, rest = origin.partition("://")
+            if origin != "*" and (scheme not in ("http", "https") or not rest or "/" in rest):
+                raise ValueError(f"origin is {origin!r}, expected https://HOST, https://HOST:PORT or *")
+        return value
+
+    @property
+    def loopback_only(self) -> bool:
+        if self.host == "localhost":
+            return True
+        try:
+            return ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return False
+
+    @property
+    def allowed_source_networks(self) -> tuple[IpNetwork, ...] | None:
+        """Networks a REST source may lie in beside the public internet; None: anywhere."""
+        if self.source_networks is not None:
+            return self.source_networks
+        return None if self.loopback_only else ()
+
+
+def load_settings(command_line: Mapping[str, Any], config_file: Path | None = None,
+                  environment: Mapping[str, str] | None = None) -> Settings:
+    """Merge the three places a setting can come from.
+
+    Args:
+        command_line: setting to value, only those that were given.
+        config_file: a TOML file with settings at the top level.
+        environment: `MR360_*` variables; the process's own by default.
+
+    Raises:
+        ConfigError: names the value, where it came from and what was expected.
+    """
+    places = {
+        "command line": dict(command_line),
+        "environment": _from_environment(os.environ if environment is None else environment),
+        str(config_file): _from_file(config_file) if config_file else {},
+    }
+    merged: dict[str, Any] = {}
+    for values in reversed(places.values()):
+        merged |= values
+    try:
+        return Settings.model_validate(merged)
+    except ValidationError as error:
+        raise ConfigError(_first_error(error.errors()[0], places)) from None
+
+
+def _from_environment(environment: Mapping[str, str]) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    for variable, text in environment.items():
+        if variable.startswith(ENVIRONMENT_PREFIX):
+            name = variable.removeprefix(ENVIRONMENT_PREFIX).lower()
+            values[name] = _json_list(variable, text) if name == "ice_servers" else text
+    return values
+
+
+def _json_list(variable: str, text: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        raise ConfigError(f"{variable} is {text!r}, expected a JSON list of objects with url, username, credential"
+                          ) from None
+
+
+def _from_file(path: Path) -> dict[str, Any]:
+    try:
+        with path.open("rb") as file:
+            return tomllib.load(file)
+    except OSError as error:
+        raise ConfigError(f"config file {str(path)!r} cannot be read: {(error.strerror or '').lower()}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"config file {str(path)!r} is no TOML: {error}") from None
+
+
+def _first_error(error: ErrorDetails, places: Mapping[str, Mapping[str, Any]]) -> str:
+    name = str(error["loc"][0])
+    place = next((place for place, values in places.items() if name in values), "default")
+    if error["type"] == "extra_forbidden":
+        return f"setting {name!r} ({place}) is unknown, expected one of {', '.join(Settings.model_fields)}"
+    cause = error.get("ctx", {}).get("error")
+    if isinstance(cause, SourceUrlError):
+        return f"{cause} ({place})"
+    expected = str(cause) if cause else error["msg"].lower().replace("input should be", "expected")
+    setting = ".".join(str(part) for part in error["loc"])
+    return f"{setting} is {error['input']!r} ({place}), {expected}"

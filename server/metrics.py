@@ -1,0 +1,75 @@
+"""Prometheus metrics. Their names are a promise to whoever draws graphs of them: do not rename."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+
+if TYPE_CHECKING:
+    from server.stream import Stream
+
+RENDER_BUCKETS_S = (0.002, 0.004, 0.006, 0.008, 0.012, 0.016, 0.02, 0.033, 0.05, 0.1, 0.25)
+LATENCY_BUCKETS_S = (0.01, 0.02, 0.03, 0.04, 0.06, 0.08, 0.1, 0.15, 0.25, 0.5, 1.0, 2.0)
+FRAME_COUNTERS = {
+    "frames_in": "Frames decoded from the source",
+    "frames_rendered": "Frames composited",
+    "frames_encoded": "Frames encoded",
+    "frames_dropped": "Frames dropped before the encoder",
+}
+
+
+class Metrics:
+    """The service's own registry."""
+
+    def __init__(self) -> None:
+        self.registry = CollectorRegistry()
+        self.frames = {name: Counter(f"mr360_{name}", text, ["stream"], registry=self.registry)
+                       for name, text in FRAME_COUNTERS.items()}
+        self.render_seconds = Histogram("mr360_render_seconds", "Time to composite one frame", ["stream"],
+                                        buckets=RENDER_BUCKETS_S, registry=self.registry)
+        self.latency_seconds = Histogram("mr360_latency_seconds", "From decoded frame to packet handed to WebRTC",
+                                         ["stream"], buckets=LATENCY_BUCKETS_S, registry=self.registry)
+        self._gauges = {name: Gauge(f"mr360_{name}", text, ["stream"], registry=self.registry) for name, text in (
+            ("viewers", "Viewers that receive media"),
+            ("worker_ready", "1 when the worker is ready"),
+            ("worker_restarts", "Times the worker was replaced"),
+            ("packets_delivered", "Encoded frames handed to WebRTC, all viewers"),
+            ("dropped_after_encoder", "Encoded frames that slow viewers lost"),
+        )}
+
+    def exposition(self, streams: Iterable[Stream]) -> bytes:
+        """The text that Prometheus scrapes."""
+        for stream in streams:
+            values = {"viewers": len(stream.fanout), "worker_ready": int(stream.ready),
+                      "worker_restarts": stream.restarts, "packets_delivered": stream.fanout.delivered,
+                      "dropped_after_encoder": stream.fanout.dropped}
+            for name, value in values.items():
+                self._gauges[name].labels(stream.name).set(value)
+        return generate_latest(self.registry)
+
+    def forget(self, stream: str) -> None:
+        """Remove the series of a stream that is deleted."""
+        for metric in (*self.frames.values(), self.render_seconds, self.latency_seconds, *self._gauges.values()):
+            metric.remove_by_labels({"stream": stream})
+
+
+class StreamMetrics:
+    """What one stream counts."""
+
+    def __init__(self, metrics: Metrics, stream: str) -> None:
+        self.render_seconds = metrics.render_seconds.labels(stream)
+        self.latency_seconds = metrics.latency_seconds.labels(stream)
+        self._frames = {name: metrics.frames[name].labels(stream) for name in FRAME_COUNTERS}
+        self._counted = dict.fromkeys(FRAME_COUNTERS, 0)
+
+    def worker_stats(self, stats: dict[str, Any]) -> None:
+        """Add what has happened since the worker's last message; a worker counts from its own start."""
+        for name in FRAME_COUNTERS:
+            count = int(stats[name])
+            self._frames[name].inc(max(0, count - self._counted[name]))
+            self._counted[name] = count
+
+    def worker_ended(self) -> None:
+        self._counted = dict.fromkeys(FRAME_COUNTERS, 0)

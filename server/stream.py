@@ -1,0 +1,288 @@
+"""One stream: its scene, its worker under supervision, its viewers and subscribers."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from server.event_outbox import Event, EventOutbox
+from server.fanout import EncodedFrame, FanOut
+from server.live_scene import LiveScene
+from server.metrics import StreamMetrics
+from server.newest import Newest
+from server.packet_track import shared_packet
+from server.percentiles import Percentiles
+from server.source_url import is_file_source, masked
+from server.supervisor import Supervisor
+from server.worker.messages import Message
+
+logger = logging.getLogger(__name__)
+
+RTP_CLOCK_HZ = 90_000
+FRAME_WAIT_S = 2.0
+SNAPSHOT_WAIT_S = 3.0
+
+
+class SnapshotError(RuntimeError):
+    """There is no picture, the text says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamSettings:
+    """What of the service's settings a stream passes on to its worker."""
+
+    assets_dir: str
+    require_gpu: bool
+    bitrate_bps: int | None
+
+
+class Stream:
+    """Owner of everything that belongs to one stream. `run` it as a task; cancelling that ends the worker."""
+
+    def __init__(self, name: str, source: str | None, settings: StreamSettings, metrics: StreamMetrics) -> None:
+        self.name = name
+        self.source = source
+        self.state = "idle" if source is None else "connecting"
+        self.detail: str | None = None
+        self.input: dict[str, Any] | None = None
+        self.output: dict[str, Any] | None = None
+        self.flags: list[str] = []
+        self.lights: dict[str, Any] | None = None
+        self.worker_stats: dict[str, Any] = {}
+        self.latency_ms = Percentiles()
+        self.live_scene = LiveScene(self._scene_changed)
+        self.fanout = FanOut(request_keyframe=self._request_keyframe, viewers_changed=self._viewers_changed)
+        self._settings = settings
+        self._metrics = metrics
+        self._light_subscribers: set[Newest[str]] = set()
+        self._events: set[EventOutbox] = set()
+        self._snapshot: asyncio.Future[bytes] | None = None
+        self._snapshot_request = 0
+        self._newest_timestamp = 0
+        self._timestamp_at = 0.0
+        self._supervisor = Supervisor(self)
+
+    # --- what others see -------------------------------------------------------------------------------------------
+
+    @property
+    def ready(self) -> bool:
+        """The worker has its GL and is not silent."""
+        return self._supervisor.ready
+
+    @property
+    def restarts(self) -> int:
+        return self._supervisor.restarts
+
+    def description(self) -> dict[str, Any]:
+        """The resource `/api/streams/{stream}`."""
+        return {
+            "name": self.name,
+            "source": None if self.source is None else masked(self.source),
+            "state": self.state, "detail": self.detail,
+            "input": self.input, "output": self.output, "flags": self.flags,
+            "viewers": len(self.fanout),
+            "worker": {"ready": self.ready, "restarts": self.restarts, "renderer": self._supervisor.renderer},
+        }
+
+    def stats(self) -> dict[str, Any]:
+        return {
+            **self.worker_stats,
+            "viewers": len(self.fanout),
+            "packets_delivered": self.fanout.delivered,
+            "dropped_after_encoder": self.fanout.dropped,
+            "latency_ms": self.latency_ms.summary(),
+            "worker_restarts": self.restarts,
+        }
+
+    def delivered(self, seconds: float) -> None:
+        """A viewer's packet has been handed to WebRTC, so long after its source frame was decoded."""
+        self.latency_ms.add(seconds * 1000.0)
+        self._metrics.latency_seconds.observe(seconds)
+
+    # --- what others ask for ---------------------------------------------------------------------------------------
+
+    def set_source(self, source: str | None) -> None:
+        self.source = source
+        self._set_state("idle" if source is None else "connecting", None)
+        self._supervisor.send({"type": "source", "source": source})
+
+    @contextlib.contextmanager
+    def light_subscription(self) -> Iterator[Newest[str]]:
+        """A mailbox with the newest light message as JSON text. As long as it is held, frames are rendered."""
+        mailbox: Newest[str] = Newest()
+        self._light_subscribers.add(mailbox)
+        self._send_demand()
+        try:
+            yield mailbox
+        finally:
+            self._light_subscribers.discard(mailbox)
+            self._send_demand()
+
+    @contextlib.contextmanager
+    def event_subscription(self) -> Iterator[EventOutbox]:
+        """An outbox that begins with the whole present state."""
+        outbox = EventOutbox(self._scene_event)
+        for event in (self._scene_event(), self._source_event(), self._viewers_event()):
+            outbox.put(event)
+        self._events.add(outbox)
+        try:
+            yield outbox
+        finally:
+            self._events.discard(outbox)
+
+    async def newest_lights(self) -> dict[str, Any] | None:
+        """The light message of a frame processed now, or the last one there was if none comes."""
+        with self.light_subscription() as mailbox, contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(FRAME_WAIT_S):
+                await mailbox.get()
+        return self.lights
+
+    async def snapshot(self) -> bytes:
+        """The newest composite as JPEG. Raises SnapshotError."""
+        if not len(self.fanout) and not self._light_subscribers:
+            await self.newest_lights()      # nothing is being rendered: have one frame made for this
+        if self._snapshot is None:
+            self._snapshot = asyncio.get_running_loop().create_future()
+            self._snapshot_request += 1
+            self._supervisor.send({"type": "snapshot", "request": self._snapshot_request})
+        try:
+            async with asyncio.timeout(SNAPSHOT_WAIT_S):
+                return await asyncio.shield(self._snapshot)
+        except TimeoutError:
+            raise SnapshotError("the worker gave no picture in time") from None
+        finally:
+            self._snapshot = None
+
+    # --- the worker's life, told by the supervisor -----------------------------------------------------------------
+
+    async def run(self) -> None:
+        """Keep a worker running until cancelled."""
+        await self._supervisor.run()
+
+    def start_message(self) -> Message:
+        elapsed_s = time.monotonic() - self._timestamp_at + self._supervisor.startup_s
+        first = self._newest_timestamp + round(elapsed_s * RTP_CLOCK_HZ) if self._newest_timestamp else 0
+        return {
+            "type": "start", "stream": self.name, "source": self.source,
+            "allow_files": is_file_source(self.source), "require_gpu": self._settings.require_gpu,
+            "assets": self._settings.assets_dir, "bitrate_bps": self._settings.bitrate_bps,
+            "scene": self.live_scene.as_json(), "revision": self.live_scene.revision,
+            "timestamp": first & 0xFFFFFFFF,
+        }
+
+    def worker_started(self) -> None:
+        self._send_demand()
+        self.fanout.encoder_replaced()
+
+    def worker_ready(self) -> None:
+        if self.state == "failed":
+            self._set_state("idle" if self.source is None else "connecting", None)
+
+    def worker_ended(self, reason: str, *, failed: bool) -> None:
+        self._metrics.worker_ended()
+        self.worker_stats = {}
+        if self._snapshot is not None and not self._snapshot.done():
+            self._snapshot.set_exception(SnapshotError(reason))
+            self._snapshot.exception()      # retrieved here, in case nobody waits any more
+        if failed:
+            self._set_state("failed", reason)
+        elif self.source is not None:
+            self._set_state("lost", reason)
+
+    # --- from the worker -------------------------------------------------------------------------------------------
+
+    def receive(self, message: Message, payload: bytes) -> None:
+        """Take what the worker sent. Raises KeyError, TypeError or ValueError for what it must not send."""
+        match message["type"]:
+            case "packet":
+                self._receive_packet(message, payload)
+            case "lights":
+                self._receive_lights(message["message"])
+            case "stats":
+                self.worker_stats = {key: value for key, value in message.items() if key != "type"}
+                self._metrics.worker_stats(self.worker_stats)
+            case "state":
+                self.input, self.output = message["input"], message["output"]
+                self.flags = [str(flag) for flag in message["flags"]]
+                self._set_state(str(message["source"]), message["detail"])
+            case "snapshot":
+                self._receive_snapshot(message, payload)
+            case unknown:
+                raise ValueError(f"message type is {unknown!r}, expected one of ARCHITECTURE.md")
+
+    def _receive_packet(self, message: Message, payload: bytes) -> None:
+        timestamp = int(message["timestamp"])
+        self._newest_timestamp, self._timestamp_at = timestamp, time.monotonic()
+        self._metrics.render_seconds.observe(float(message["render_ms"]) / 1000.0)
+        self.fanout.publish(EncodedFrame(shared_packet(payload, timestamp), bool(message["keyframe"]),
+                                         float(message["decoded_at"])))
+
+    def _receive_lights(self, lights: dict[str, Any]) -> None:
+        self.lights = dict(lights)
+        if self._light_subscribers:
+            text = json.dumps(lights, allow_nan=False, separators=(",", ":"))
+            for mailbox in self._light_subscribers:
+                mailbox.put(text)
+
+    def _receive_snapshot(self, message: Message, payload: bytes) -> None:
+        waiting = self._snapshot
+        if waiting is None or waiting.done() or message["request"] != self._snapshot_request:
+            return
+        if message["error"] is None:
+            waiting.set_result(payload)
+        else:
+            waiting.set_exception(SnapshotError(str(message["error"])))
+            waiting.exception()
+
+    # --- to the worker ---------------------------------------------------------------------------------------------
+
+    def _send_demand(self) -> None:
+        self._supervisor.send({"type": "demand", "viewers": len(self.fanout), "lights": len(self._light_subscribers)})
+
+    def _request_keyframe(self) -> None:
+        self._supervisor.send({"type": "keyframe"})
+
+    # --- changes ---------------------------------------------------------------------------------------------------
+
+    def _viewers_changed(self) -> None:
+        self._send_demand()
+        self._publish(self._viewers_event())
+
+    def _scene_changed(self, live: LiveScene, changed_id: str | None) -> None:
+        self._supervisor.send({"type": "scene", "scene": live.as_json(), "revision": live.revision})
+        if not self._events:
+            return
+        if changed_id is None:
+            self._publish(self._scene_event())
+        else:
+            placed = live.find(changed_id)
+            self._publish({"type": "object", "id": changed_id, "revision": live.revision,
+                           "object": placed.model_dump(mode="json") if placed else None})
+
+    def _set_state(self, state: str, detail: str | None) -> None:
+        if detail is not None:
+            detail = masked(str(detail))
+        if (state, detail) != (self.state, self.detail):
+            logger.info("%s: source %s%s", self.name, state, f", {detail}" if detail else "")
+        self.state, self.detail = state, detail
+        self._publish(self._source_event())
+
+    def _publish(self, event: Event) -> None:
+        for outbox in self._events:
+            outbox.put(event)
+
+    def _scene_event(self) -> Event:
+        return {"type": "scene", "revision": self.live_scene.revision, "scene": self.live_scene.as_json()}
+
+    def _source_event(self) -> Event:
+        return {"type": "source", "state": self.state, "detail": self.detail, "input": self.input,
+                "output": self.output, "flags": self.flags}
+
+    def _viewers_event(self) -> Event:
+        return {"type": "viewers", "count": len(self.fanout)}

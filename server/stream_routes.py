@@ -1,0 +1,103 @@
+"""Streams: list, create, describe, point to another source, delete; their picture and their numbers."""
+
+from __future__ import annotations
+
+from http import HTTPStatus
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Response
+from pydantic import BaseModel, ConfigDict, Field
+
+from server.dependencies import ServiceDep, StreamDep
+from server.problems import Problem, shown
+from server.service import Service
+from server.source_url import SourceUrlError
+from server.stream import SnapshotError
+from server.streams import LIVE, DuplicateStreamError, TooManyStreamsError
+from server.strict_json import StrictJsonRoute
+
+router = APIRouter(prefix="/api/streams", tags=["streams"], route_class=StrictJsonRoute)
+
+
+class NewStream(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+    source: Annotated[str, Field(description="rtsp, rtsps, rtmp, rtmps or rtmp-listen URL")] | None = None
+
+
+class StreamPatch(BaseModel):
+    """A null source ends the pull; the last picture stays."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    source: str | None = None
+
+
+@router.get("")
+async def list_streams(service: ServiceDep) -> list[dict[str, Any]]:
+    """All streams."""
+    return [stream.description() for stream in service.streams]
+
+
+@router.post("", status_code=201)
+async def create_stream(new: NewStream, service: ServiceDep, response: Response) -> dict[str, Any]:
+    """Create a stream; its worker starts at once."""
+    source = await _checked(new.source, service)
+    try:
+        stream = service.streams.add(new.name, source)
+    except DuplicateStreamError:
+        raise Problem(HTTPStatus.CONFLICT, f"stream {shown(new.name)} exists already, expected a new name") from None
+    except TooManyStreamsError:
+        raise Problem(HTTPStatus.SERVICE_UNAVAILABLE, f"{service.settings.max_streams} streams exist, the setting "
+                      "max_streams", headers={"Retry-After": "60"}) from None
+    response.headers["Location"] = f"/api/streams/{stream.name}"
+    return stream.description()
+
+
+@router.get("/{stream}")
+async def get_stream(stream: StreamDep) -> dict[str, Any]:
+    """Source (credentials masked), state (idle, connecting, live, lost, failed), geometry, viewers, worker."""
+    return stream.description()
+
+
+@router.patch("/{stream}")
+async def patch_stream(stream: StreamDep, patch: StreamPatch, service: ServiceDep) -> dict[str, Any]:
+    """Pull from another source; null ends the pull."""
+    if "source" in patch.model_fields_set:
+        stream.set_source(await _checked(patch.source, service))
+    return stream.description()
+
+
+@router.delete("/{stream}", status_code=204)
+async def delete_stream(stream: StreamDep, service: ServiceDep) -> None:
+    """Disconnect its viewers and end its worker."""
+    if stream.name == LIVE:
+        raise Problem(HTTPStatus.CONFLICT, f"stream {LIVE!r} always exists, expected a PATCH of its source to null")
+    await service.remove_stream(stream)
+
+
+@router.get("/{stream}/snapshot.jpg", response_class=Response, responses={200: {"content": {"image/jpeg": {}}}})
+async def snapshot(stream: StreamDep) -> Response:
+    """The newest composite."""
+    try:
+        picture = await stream.snapshot()
+    except SnapshotError as error:
+        raise Problem(HTTPStatus.SERVICE_UNAVAILABLE, str(error), headers={"Retry-After": "1"}) from None
+    return Response(picture, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
+
+
+@router.get("/{stream}/stats")
+async def stats(stream: StreamDep) -> dict[str, Any]:
+    """Stage times and counters of the worker, and what became of its packets."""
+    return stream.stats()
+
+
+async def _checked(source: str | None, service: Service) -> str | None:
+    if source is None:
+        return None
+    try:
+        return await service.check_rest_source(source)
+    except SourceUrlError as error:
+        raise Problem(HTTPStatus.UNPROCESSABLE_ENTITY, str(error),
+                      errors=[{"pointer": "/source", "detail": str(error)}]) from None

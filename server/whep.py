@@ -1,0 +1,171 @@
+"""WHEP sessions: one peer connection per viewer, fed with the stream's shared packets.
+
+A session ends when its viewer says so, when its connection fails or closes, when it does not connect in time, and with
+its stream. Every end goes through `close`, which may be called any number of times.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import secrets
+import time
+from collections.abc import Callable
+
+from aiortc import RTCConfiguration, RTCPeerConnection, RTCRtpCodecCapability, RTCRtpSender, RTCSessionDescription
+from aiortc.exceptions import InvalidAccessError, InvalidStateError, OperationError
+
+from server import aiortc_hooks
+from server.packet_track import PacketTrack
+from server.sdp_offer import CodecError, OfferError, TrickleFragment, check_offer
+from server.stream import Stream
+
+logger = logging.getLogger(__name__)
+
+CONNECT_LIMIT_S = 15.0
+NEGOTIATE_LIMIT_S = 10.0
+CLOSE_LIMIT_S = 1.0
+RETRY_AFTER_S = 5
+
+
+class TooManyViewersError(RuntimeError):
+    """`max_viewers` is reached."""
+
+
+class WhepSession:
+    """One viewer's connection."""
+
+    def __init__(self, stream: Stream, closed: Callable[[WhepSession], None]) -> None:
+        self.id = secrets.token_urlsafe(24)     # the session URL is what entitles to change or end the session
+        self.etag = f'"{secrets.token_hex(8)}"'
+        self.stream = stream
+        # An empty list, not None: None means Google's STUN server and a pause of 5 s where that cannot be reached.
+        self._connection = RTCPeerConnection(RTCConfiguration(iceServers=[]))
+        self._track = PacketTrack(stream.fanout, stream.delivered)
+        self._closed = closed
+        self._closing: asyncio.Task[None] | None = None
+        self._started_at = time.monotonic()
+        self._timer = asyncio.get_running_loop().call_later(CONNECT_LIMIT_S, self._not_connected)
+
+    @property
+    def closing(self) -> bool:
+        return self._closing is not None
+
+    async def negotiate(self, offer: str) -> str:
+        """Take the offer, return the answer with all our ICE candidates.
+
+        Raises:
+            OfferError, CodecError: the offer cannot be answered. The session is to be closed then.
+        """
+        check_offer(offer)
+        transceiver = self._connection.addTransceiver(self._track, direction="sendonly")
+        # Before the offer is set: aiortc chooses codecs there, else the offerer's first one, which is VP8 in browsers.
+        transceiver.setCodecPreferences(_h264_with_retransmission())
+        aiortc_hooks.on_keyframe_request(transceiver.sender, self.stream.fanout.request_keyframe)
+        self._connection.on("connectionstatechange", self._state_changed)
+        try:
+            async with asyncio.timeout(NEGOTIATE_LIMIT_S):
+                await self._connection.setRemoteDescription(RTCSessionDescription(offer, "offer"))
+                await self._connection.setLocalDescription()
+        except OperationError:
+            raise CodecError("the offer has no H.264 baseline with packetization-mode=1") from None
+        except TimeoutError:
+            raise OfferError(f"the offer could not be answered in {NEGOTIATE_LIMIT_S:g} s") from None
+        except (InvalidAccessError, InvalidStateError, ValueError, KeyError, AttributeError) as error:
+            raise OfferError(f"the offer cannot be answered: {error}") from None
+        return str(self._connection.localDescription.sdp)
+
+    async def add_candidates(self, fragment: TrickleFragment) -> None:
+        """Take more of the viewer's ICE candidates. Raises OfferError."""
+        with contextlib.suppress(InvalidStateError):    # closed meanwhile
+            try:
+                for candidate in fragment.candidates:
+                    await self._connection.addIceCandidate(candidate)
+            except ValueError as error:
+                raise OfferError(f"a candidate cannot be used: {error}") from None
+            if fragment.complete:
+                await self._connection.addIceCandidate(None)
+
+    async def close(self, reason: str) -> None:
+        """End the session. Later callers wait for the first one."""
+        if self._closing is None:
+            self._closing = asyncio.create_task(self._close(reason))
+        await asyncio.shield(self._closing)
+
+    async def _close(self, reason: str) -> None:
+        self._timer.cancel()
+        self._track.stop()
+        try:
+            async with asyncio.timeout(CLOSE_LIMIT_S):
+                await self._connection.close()
+        except TimeoutError:
+            logger.warning("%s: a viewer's connection did not close in %g s", self.stream.name, CLOSE_LIMIT_S)
+        finally:
+            self._closed(self)
+        logger.info("%s: viewer left after %.0f s: %s", self.stream.name, time.monotonic() - self._started_at, reason)
+
+    def _close_soon(self, reason: str) -> None:
+        if self._closing is None:
+            self._closing = asyncio.create_task(self._close(reason))
+
+    def _not_connected(self) -> None:
+        self._close_soon(f"not connected after {CONNECT_LIMIT_S:g} s")
+
+    def _state_changed(self) -> None:
+        state = self._connection.connectionState
+        if state == "connected":
+            self._timer.cancel()
+            logger.info("%s: viewer connected", self.stream.name)
+        elif state in ("failed", "closed"):
+            self._close_soon(f"connection {state}")
+
+
+class WhepSessions:
+    """Owner of all sessions of all streams."""
+
+    def __init__(self, max_viewers: int) -> None:
+        aiortc_hooks.install()
+        self._max_viewers = max_viewers
+        self._sessions: dict[str, WhepSession] = {}
+
+    def __len__(self) -> int:
+        return len(self._sessions)
+
+    def find(self, stream: str, session_id: str) -> WhepSession | None:
+        session = self._sessions.get(session_id)
+        if session is None or session.closing or session.stream.name != stream:
+            return None
+        return session
+
+    async def open(self, stream: Stream, offer: str) -> tuple[WhepSession, str]:
+        """A new session and the SDP answer. Raises TooManyViewersError, OfferError, CodecError."""
+        if len(self._sessions) >= self._max_viewers:
+            raise TooManyViewersError(f"{self._max_viewers} viewers are connected, the setting max_viewers")
+        session = WhepSession(stream, self._forget)
+        self._sessions[session.id] = session
+        try:
+            return session, await session.negotiate(offer)
+        except BaseException as error:
+            await session.close(f"no answer: {error or type(error).__name__}")
+            raise
+
+    async def close_stream(self, stream: Stream) -> None:
+        await self._close([session for session in self._sessions.values() if session.stream is stream])
+
+    async def close(self) -> None:
+        await self._close(list(self._sessions.values()))
+
+    async def _close(self, sessions: list[WhepSession]) -> None:
+        await asyncio.gather(*(session.close("the stream ends") for session in sessions))
+
+    def _forget(self, session: WhepSession) -> None:
+        self._sessions.pop(session.id, None)
+
+
+def _h264_with_retransmission() -> list[RTCRtpCodecCapability]:
+    """H.264 constrained baseline first (what we encode), then baseline, then RTX."""
+    codecs = RTCRtpSender.getCapabilities("video").codecs
+    h264 = [codec for codec in codecs if codec.mimeType == "video/H264"]
+    h264.sort(key=lambda codec: codec.parameters.get("profile-level-id") != "42e01f")
+    return h264 + [codec for codec in codecs if codec.mimeType == "video/rtx"]

@@ -1,0 +1,108 @@
+"""Between FFmpeg's frames and the renderer's: planes, colour tags, and the stream's fixed output geometry."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import av
+import numpy as np
+from av.video.frame import VideoFrame
+from av.video.reformatter import ColorRange, Colorspace, VideoReformatter
+from numpy.typing import NDArray
+
+from renderer.color import YuvFormat
+from renderer.frame import YuvFrame
+
+DIRECT_FORMATS = {"yuv420p", "yuvj420p"}
+MAX_WIDTH, MAX_HEIGHT = 8192, 4096
+MIN_SIDE = 16
+_BT601 = {5, 6}       # AVCOL_SPC_BT470BG, SMPTE170M
+_BT709 = 1
+_MPEG, _JPEG = 1, 2   # AVCOL_RANGE_*
+
+
+class PictureError(ValueError):
+    """A frame that cannot be processed."""
+
+
+def output_size(width: int, height: int) -> tuple[int, int]:
+    """The even size at which a source is processed. Raises PictureError when it is out of bounds."""
+    if not (MIN_SIDE <= width <= MAX_WIDTH and MIN_SIDE <= height <= MAX_HEIGHT):
+        raise PictureError(f"picture is {width}x{height}, expected {MIN_SIDE}x{MIN_SIDE} to {MAX_WIDTH}x{MAX_HEIGHT}")
+    return width - width % 2, height - height % 2
+
+
+def picture_flags(width: int, height: int, output: tuple[int, int], pix_fmt: str) -> list[str]:
+    """What is unusual about a source, for the stream's state."""
+    flags = []
+    if abs(width - 2 * height) > 0.01 * width:
+        flags.append("not_2_to_1")
+    if width % 2 or height % 2:
+        flags.append("odd_size")
+    if (width - width % 2, height - height % 2) != output:
+        flags.append("scaled")
+    if pix_fmt not in DIRECT_FORMATS:
+        flags.append("converted")
+    return flags
+
+
+def yuv_format(frame: VideoFrame) -> YuvFormat:
+    """Matrix and range by the tags; untagged means BT.709 limited from 720 lines up, BT.601 limited below."""
+    space, color_range = int(frame.colorspace), int(frame.color_range)
+    bt601 = space in _BT601 or (space != _BT709 and frame.height < 720)
+    full = color_range == _JPEG or (color_range != _MPEG and frame.format.name.startswith("yuvj"))
+    return YuvFormat("bt601" if bt601 else "bt709", full)
+
+
+class PictureReader:
+    """Turns decoded frames into 8-bit 4:2:0 planes of one size; only unusual formats and sizes go through swscale."""
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self.size = size
+        self._reformatter = VideoReformatter()
+
+    def read(self, frame: VideoFrame) -> YuvFrame:
+        """Planes that are valid until the next call; copy to keep."""
+        if frame.format.name in DIRECT_FORMATS and (frame.width, frame.height) == self.size:
+            return YuvFrame(_plane(frame, 0), _plane(frame, 1), _plane(frame, 2), yuv_format(frame))
+        if frame.format.name.startswith(("rgb", "bgr", "gbr", "gray", "pal", "argb", "abgr", "rgba", "ya")):
+            converted = self._reformatter.reformat(frame, *self.size, "yuv420p", dst_colorspace=Colorspace.ITU709,
+                                                   dst_color_range=ColorRange.MPEG)
+            layout = YuvFormat("bt709", False)
+        else:
+            layout = yuv_format(frame)
+            converted = self._reformatter.reformat(frame, *self.size, "yuv420p")
+        self._kept = converted  # the planes point into it
+        return YuvFrame(_plane(converted, 0), _plane(converted, 1), _plane(converted, 2), layout)
+
+
+def _plane(frame: VideoFrame, index: int) -> NDArray[np.uint8]:
+    plane = frame.planes[index]
+    return np.frombuffer(memoryview(plane), np.uint8).reshape(plane.height, plane.line_size)[:, :plane.width]
+
+
+def video_frame(picture: YuvFrame) -> VideoFrame:
+    """A new FFmpeg frame with the picture's planes and tags."""
+    width, height = picture.size
+    frame = VideoFrame(width, height, "yuv420p")
+    for index, plane in enumerate((picture.y, picture.u, picture.v)):
+        _plane(frame, index)[...] = plane
+    frame.colorspace = 1 if picture.format.matrix == "bt709" else 6
+    frame.color_range = _JPEG if picture.format.full_range else _MPEG
+    return frame
+
+
+def encode_jpeg(picture: YuvFrame) -> bytes:
+    """JPEG of the picture, converted to JPEG's own BT.601 full range."""
+    source = video_frame(picture)
+    converted = VideoReformatter().reformat(
+        source, format="yuvj420p", src_colorspace=Colorspace.ITU709 if picture.format.matrix == "bt709" else Colorspace.ITU601,
+        dst_colorspace=Colorspace.ITU601, src_color_range=ColorRange.JPEG if picture.format.full_range else ColorRange.MPEG,
+        dst_color_range=ColorRange.JPEG)
+    codec = av.CodecContext.create("mjpeg", "w")
+    codec.width, codec.height = picture.size
+    codec.pix_fmt = "yuvj420p"
+    codec.time_base = Fraction(1, 25)
+    codec.options = {"qscale": "3"}
+    packets = [*codec.encode(converted), *codec.encode(None)]
+    return b"".join(bytes(packet) for packet in packets)

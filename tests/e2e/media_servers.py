@@ -1,0 +1,76 @@
+"""Media servers of other people: nginx-rtmp, and gst-rtsp-server under Debian's Python."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import av
+from processes import Process, accepts_connections, free_port, wait_for
+
+NGINX_CONFIG = """
+load_module /usr/lib/nginx/modules/ngx_rtmp_module.so;
+user root;
+daemon off;
+master_process off;
+pid {folder}/nginx.pid;
+error_log {folder}/error.log info;
+events {{ worker_connections 64; }}
+rtmp {{
+  access_log off;
+  server {{
+    listen 127.0.0.1:{port};
+    chunk_size 4096;
+    application live {{ live on; }}
+  }}
+}}
+"""
+
+
+class NginxRtmp:
+    def __init__(self, folder: Path) -> None:
+        self.port = free_port()
+        config = folder / "nginx.conf"
+        config.write_text(NGINX_CONFIG.format(folder=folder, port=self.port))
+        self.process = Process(["nginx", "-p", folder, "-c", config, "-e", folder / "error.log"], folder / "output.log")
+        wait_for("nginx", lambda: accepts_connections(self.port), 10)
+
+    def url(self, key: str) -> str:
+        return f"rtmp://127.0.0.1:{self.port}/live/{key}"
+
+
+class RtspServer:
+    """Plays the H.264 of an MP4 or of a byte stream (.h264) for ever at `url`, in real time."""
+
+    def __init__(self, clip: Path, folder: Path) -> None:
+        self.port = free_port()
+        byte_stream = clip
+        if clip.suffix != ".h264":
+            byte_stream = folder / f"{clip.stem}.h264"
+            write_byte_stream(clip, byte_stream)
+        script = Path(__file__).with_name("rtsp_server.py")
+        self.process = Process(["/usr/bin/python3", script, str(self.port), byte_stream], folder / "rtsp.log",
+                               {"PYTHONPATH": ""})
+        wait_for("RTSP server", lambda: "listening" in self.process.output(), 10)
+
+    @property
+    def url(self) -> str:
+        return f"rtsp://127.0.0.1:{self.port}/live"
+
+
+class Publisher:
+    """`mr360 publish` as a child."""
+
+    def __init__(self, file: Path, url: str, log: Path, loop: bool = True) -> None:
+        command = [sys.executable, "-m", "server.cli", "publish", file, url]
+        self.process = Process([*command, "--loop"] if loop else command, log)
+
+
+def write_byte_stream(clip: Path, target: Path) -> None:
+    """Copy a file's H.264 into an Annex-B byte stream."""
+    with av.open(str(clip)) as source, av.open(str(target), "w", format="h264") as output:
+        stream = output.add_stream_from_template(source.streams.video[0])
+        for packet in source.demux(video=0):
+            if packet.dts is not None:
+                packet.stream = stream
+                output.mux(packet)

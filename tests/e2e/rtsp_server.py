@@ -1,0 +1,53 @@
+"""A real RTSP server (gst-rtsp-server) that plays an H.264 byte stream for ever. Runs under Debian's /usr/bin/python3.
+
+usage: rtsp_server.py PORT FILE.h264    prints one line when it listens; rtsp://127.0.0.1:PORT/live
+"""
+
+import signal
+import sys
+
+import gi
+
+gi.require_version("Gst", "1.0")
+gi.require_version("GstRtsp", "1.0")
+gi.require_version("GstRtspServer", "1.0")
+from gi.repository import GLib, Gst, GstRtsp, GstRtspServer  # noqa: E402
+
+
+def give_presentation_times(factory, media):
+    """A bare byte stream has decoding times only; without B-frames they are the same."""
+    def stamp(pad, info):
+        buffer = info.get_buffer()
+        buffer.pts = buffer.dts
+        return Gst.PadProbeReturn.OK
+
+    payloader = media.get_element().get_by_name("pay0")
+    payloader.get_static_pad("sink").add_probe(Gst.PadProbeType.BUFFER, stamp)
+
+
+def main() -> int:
+    port, path = sys.argv[1], sys.argv[2]
+    Gst.init(None)
+    factory = GstRtspServer.RTSPMediaFactory()
+    factory.set_launch(f"( multifilesrc location=\"{path}\" loop=true ! h264parse config-interval=-1 "
+                       "! rtph264pay name=pay0 pt=96 )")
+    factory.set_protocols(GstRtsp.RTSPLowerTrans.TCP)
+    factory.set_shared(True)
+    factory.connect("media-configure", give_presentation_times)
+    server = GstRtspServer.RTSPServer()
+    server.set_address("127.0.0.1")
+    server.set_service(port)
+    server.get_mount_points().add_factory("/live", factory)
+    if not server.attach(None):
+        print(f"cannot listen on port {port}", file=sys.stderr)
+        return 2
+    loop = GLib.MainLoop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        GLib.unix_signal_add(GLib.PRIORITY_DEFAULT, number, loop.quit)
+    print("listening", flush=True)
+    loop.run()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,136 @@
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterator
+from typing import Any
+
+import httpx
+import pytest
+from conftest import Served, wait_for
+from test_rest_scene import assert_problem
+
+from server.assets import MAX_ASSET_BYTES
+
+ASSETS = "/api/assets"
+OBJECTS = "/api/streams/live/objects"
+GLB_TYPE = {"Content-Type": "model/gltf-binary"}
+
+
+def glb(document: dict[str, Any], binary: bytes) -> bytes:
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    binary += b"\0" * (-len(binary) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+def triangle(**accessor: Any) -> bytes:
+    positions = struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)
+    indices = struct.pack("<3H", 0, 1, 2)
+    return glb({
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "buffers": [{"byteLength": len(positions) + len(indices)}],
+        "bufferViews": [{"buffer": 0, "byteOffset": 0, "byteLength": 36},
+                        {"buffer": 0, "byteOffset": 36, "byteLength": 6}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [0, 0, 0],
+                       "max": [1, 1, 0], **accessor},
+                      {"bufferView": 1, "componentType": 5123, "count": 3, "type": "SCALAR"}],
+    }, positions + indices)
+
+
+@pytest.fixture
+def no_assets(served: Served, client: httpx.Client) -> Iterator[None]:
+    yield
+    client.put("/api/streams/live/scene", json={})
+    for asset in client.get(ASSETS).json():
+        client.delete(f"{ASSETS}/{asset['name']}")
+
+
+@pytest.mark.usefixtures("no_assets")
+def test_asset_life(client: httpx.Client) -> None:
+    created = client.post(ASSETS, content=triangle(), headers=GLB_TYPE, params={"name": "flag"})
+    assert created.status_code == 201, created.text
+    assert created.headers["location"] == f"{ASSETS}/flag"
+    assert created.json() | {"name": "flag", "mesh": "asset:flag", "triangles": 1} == created.json()
+    assert [asset["name"] for asset in client.get(ASSETS).json()] == ["flag"]
+    again = client.post(ASSETS, content=triangle(), headers=GLB_TYPE, params={"name": "flag"})
+    assert_problem(again, 409, "'flag' exists already")
+
+    placed = client.post(OBJECTS, json={"id": "pole", "mesh": "asset:flag"})
+    assert placed.status_code == 201
+    assert_problem(client.delete(f"{ASSETS}/flag"), 409, "'flag' is the mesh of 'pole' in stream 'live'")
+    client.delete(f"{OBJECTS}/pole")
+    assert client.delete(f"{ASSETS}/flag").status_code == 204
+    assert_problem(client.delete(f"{ASSETS}/flag"), 404, "no asset 'flag'")
+    assert_problem(client.post(OBJECTS, json={"mesh": "asset:flag"}), 422, "'asset:flag' is no asset")
+
+
+@pytest.mark.usefixtures("no_assets")
+def test_names(client: httpx.Client) -> None:
+    generated = client.post(ASSETS, content=triangle(), headers=GLB_TYPE).json()["name"]
+    assert generated.startswith("model-")
+    named = client.post(ASSETS, content=triangle(),
+                        headers=GLB_TYPE | {"Content-Disposition": 'attachment; filename="chair.glb"'})
+    assert named.json()["name"] == "chair"
+    for wrong in ("../x", "a/b", "", ".hidden", "x" * 65):
+        assert_problem(client.post(ASSETS, content=triangle(), headers=GLB_TYPE, params={"name": wrong}), 422, "name")
+    climbing = {"Content-Disposition": 'attachment; filename="../../x.glb"'}
+    assert_problem(client.post(ASSETS, content=triangle(), headers=GLB_TYPE | climbing), 422, "file name is '../../x'")
+
+
+@pytest.mark.parametrize(("content", "text"), [
+    (b"", "the file has 0 bytes, expected a GLB"),
+    (b"glTF", "the file has 4 bytes"),
+    (b"x" * 100, "the file begins with b'xxxx'"),
+    (struct.pack("<4sII", b"glTF", 1, 12), "version 1, expected b'glTF' version 2"),
+    (struct.pack("<4sII", b"glTF", 2, 100), "the GLB header names 100 bytes, the file has 12"),
+    (triangle()[:-4], "the GLB header names"),
+])
+@pytest.mark.usefixtures("no_assets")
+def test_what_is_no_glb_is_refused(served: Served, client: httpx.Client, content: bytes, text: str) -> None:
+    assert_problem(client.post(ASSETS, content=content, headers=GLB_TYPE), 422, text)
+    assert list(served.assets_dir.iterdir()) == []
+
+
+@pytest.mark.parametrize("content", [
+    struct.pack("<4sII", b"glTF", 2, 12),                                                   # no chunk at all
+    glb({"asset": {"version": "2.0"}}, b""),                                                # nothing to draw
+    triangle(count=1000),                                                                   # reads past its buffer
+    triangle(count=1 << 40),
+    triangle(bufferView=7),
+    triangle(componentType=1),
+    glb({"asset": {"version": "2.0"}, "buffers": [{"uri": "file:///etc/passwd", "byteLength": 10}]}, b""),
+])
+@pytest.mark.usefixtures("no_assets")
+def test_a_corrupt_model_is_refused_and_not_kept(served: Served, client: httpx.Client, content: bytes) -> None:
+    assert_problem(client.post(ASSETS, content=content, headers=GLB_TYPE), 422)
+    assert list(served.assets_dir.iterdir()) == []
+    assert client.get("/healthz").status_code == 200
+
+
+def test_other_media_types_are_refused(client: httpx.Client) -> None:
+    response = client.post(ASSETS, content=triangle(), headers={"Content-Type": "text/plain"})
+    assert_problem(response, 415, "expected model/gltf-binary")
+
+
+@pytest.mark.usefixtures("no_assets")
+def test_a_model_too_large_is_413(served: Served, client: httpx.Client) -> None:
+    def chunks() -> Iterator[bytes]:
+        yield struct.pack("<4sII", b"glTF", 2, MAX_ASSET_BYTES + 12)
+        for _ in range(MAX_ASSET_BYTES >> 20):
+            yield bytes(1 << 20)
+
+    assert_problem(client.post(ASSETS, content=chunks(), headers=GLB_TYPE), 413, "longer than")
+    assert list(served.assets_dir.iterdir()) == []
+
+
+def test_an_upload_that_breaks_off_leaves_nothing(served: Served, client: httpx.Client) -> None:
+    def chunks() -> Iterator[bytes]:
+        yield triangle()[:20]
+        raise ConnectionError("the client went away")
+
+    with pytest.raises(ConnectionError), httpx.Client(base_url=served.url) as other:
+        other.post(ASSETS, content=chunks(), headers=GLB_TYPE)
+    wait_for(lambda: list(served.assets_dir.iterdir()) == [], "the partial file is gone")
