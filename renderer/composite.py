@@ -184,6 +184,7 @@ class CompositeStage:
         return radiance[..., :3], radiance[..., 3] > 0.5
 
     def _release_target(self) -> None:
+        self._context.rest()
         release_all(self._framebuffer, *self._textures)
 
     def release(self) -> None:

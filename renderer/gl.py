@@ -47,6 +47,7 @@ class Context:
         self.renderer = str(self.gl.info["GL_RENDERER"])
         self.version = str(self.gl.info["GL_VERSION"])
         self._thread = threading.get_ident()
+        self._resting_target = self.gl.simple_framebuffer((1, 1))
         if require_gpu and self.is_software:
             self.gl.release()
             raise GLUnavailableError(f"GL_RENDERER is {self.renderer!r}, expected a GPU (--require-gpu)")
@@ -75,6 +76,10 @@ class Context:
         texture.repeat_x = wrap_x
         texture.repeat_y = False
         return texture
+
+    def rest(self) -> None:
+        """Bind a target of our own before another is released: moderngl binds the last one again whenever it makes a new one."""
+        self._resting_target.use()
 
     def collect(self) -> None:
         """Free the GL objects that Python has dropped since the last call; once a frame.

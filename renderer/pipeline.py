@@ -211,6 +211,7 @@ class Pipeline:
         self._tracker = LightTracker()
 
     def release(self) -> None:
+        self._context.rest()
         self._meshes.release()
         release_all(self._composite, self._shadows, self._objects, self._radiance, self._panorama)
 
