@@ -134,7 +134,7 @@ class Pipeline:
 
     def _place(self, visible: list[SceneObject], scene: Scene) -> tuple[dict[str, PlacedMesh], dict[str, str]]:
         placed: dict[str, PlacedMesh] = {}
-        errors: dict[str, str] = {}
+        errors = {item.id: f"local surface {item.id!r} is not rendered yet" for item in scene.local_scene}
         for item in visible:
             try:
                 mesh = self._meshes.get(item.mesh)
@@ -149,6 +149,8 @@ class Pipeline:
                 errors[item.id] = f"object {item.id!r} is below the ground at y = {-scene.camera_height:g}"
             else:
                 placed[item.id] = candidate
+                if item.animation is not None:
+                    errors[item.id] = f"animation {item.animation.clip!r} of object {item.id!r} is not played yet"
         return placed, errors
 
     def _illumination(self, scene: Scene, light: FrameLight, objects: list[PlacedMesh]) -> Illumination:

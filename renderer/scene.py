@@ -111,6 +111,11 @@ class Ground(_Value):
     roughness: Unit = 0.3
 
 
+# The contract names more methods than this version has; the others are refused by name rather than quietly replaced.
+AVAILABLE_METHODS = {"preset": "default", "diffuse": "sh", "glossy": "ggx", "lights": "default", "shadows": "area",
+                     "composite": "ratio"}
+
+
 class Lighting(_Value):
     """The method of each stage: a preset, single stages overridden."""
 
@@ -121,6 +126,14 @@ class Lighting(_Value):
     light_count: Literal["auto"] | Annotated[int, Field(ge=0, le=64)] | None = None
     shadows: Literal["area", "pcf"] | None = None
     composite: Literal["ratio", "additive"] | None = None
+
+    @model_validator(mode="after")
+    def _available(self) -> Lighting:
+        for name, value in AVAILABLE_METHODS.items():
+            chosen = getattr(self, name)
+            if chosen not in (None, value):
+                raise ValueError(f"{name} {chosen!r} is not available yet, expected {value!r}")
+        return self
 
 
 class Scene(_Value):

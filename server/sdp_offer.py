@@ -21,8 +21,26 @@ class CodecError(OfferError):
     """The offer has no codec that we send."""
 
 
-def check_offer(text: str) -> None:
-    """Check that the offer asks for one H.264 video.
+@dataclass(frozen=True, slots=True)
+class Offer:
+    """An offer that asks for H.264 video, without the candidates whose address is yet to be looked up."""
+
+    text: str
+    late: TrickleFragment
+    """Browsers hide their address behind an mDNS name, which takes a second when nobody answers to it. Never marked as
+    complete: without an address of the viewer, ICE has to wait until the viewer's own checks arrive."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrickleFragment:
+    """ICE candidates that come after the offer, as in an `application/trickle-ice-sdpfrag` body."""
+
+    candidates: tuple[RTCIceCandidate, ...]
+    complete: bool
+
+
+def parse_offer(text: str) -> Offer:
+    """Check the offer and set its mDNS candidates apart.
 
     Raises:
         OfferError, CodecError: names what is missing.
@@ -39,26 +57,30 @@ def check_offer(text: str) -> None:
     codecs = {codec.mimeType for media in wanted for codec in media.rtp.codecs}
     if "video/h264" not in {codec.lower() for codec in codecs}:
         raise CodecError(f"the offer has the video codecs {', '.join(sorted(codecs)) or 'none'}, expected video/H264")
+    return _without_mdns(text, offer)
 
 
-@dataclass(frozen=True, slots=True)
-class TrickleFragment:
-    """An `application/trickle-ice-sdpfrag` body."""
-
-    username_fragment: str | None
-    candidates: tuple[RTCIceCandidate, ...]
-    complete: bool
+def _without_mdns(text: str, offer: SessionDescription) -> Offer:
+    late = []
+    for media in offer.media:
+        for candidate in media.ice_candidates:
+            if candidate.ip.endswith(".local"):
+                candidate.sdpMid = media.rtp.muxId
+                late.append(candidate)
+    if not late:
+        return Offer(text, TrickleFragment((), complete=False))
+    now = [line for line in text.splitlines() if line.strip() != "a=end-of-candidates"
+           and not (line.startswith("a=candidate:") and ".local " in line)]
+    return Offer("\r\n".join(now) + "\r\n", TrickleFragment(tuple(late), complete=False))
 
 
 def parse_fragment(text: str) -> TrickleFragment:
     """Raises OfferError."""
-    username_fragment, mid, complete = None, None, False
+    mid, complete = None, False
     candidates: list[RTCIceCandidate] = []
     for line in text.splitlines():
         key, _, value = line.strip().partition(":")
-        if key == "a=ice-ufrag":
-            username_fragment = value
-        elif key == "a=mid":
+        if key == "a=mid":
             mid = value
         elif key == "a=end-of-candidates":
             complete = True
@@ -68,7 +90,7 @@ def parse_fragment(text: str) -> TrickleFragment:
             raise OfferError(f"the fragment has the line {line[:80]!r}, expected lines with a= and m=")
     if len(candidates) > MAX_CANDIDATES:
         raise OfferError(f"the fragment has {len(candidates)} candidates, expected at most {MAX_CANDIDATES}")
-    return TrickleFragment(username_fragment, tuple(candidates), complete)
+    return TrickleFragment(tuple(candidates), complete)
 
 
 def _candidate(value: str, mid: str | None) -> RTCIceCandidate:

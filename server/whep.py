@@ -18,7 +18,7 @@ from aiortc.exceptions import InvalidAccessError, InvalidStateError, OperationEr
 
 from server import aiortc_hooks
 from server.packet_track import PacketTrack
-from server.sdp_offer import CodecError, OfferError, TrickleFragment, check_offer
+from server.sdp_offer import CodecError, OfferError, TrickleFragment, parse_offer
 from server.stream import Stream
 
 logger = logging.getLogger(__name__)
@@ -45,6 +45,7 @@ class WhepSession:
         self._track = PacketTrack(stream.fanout, stream.delivered)
         self._closed = closed
         self._closing: asyncio.Task[None] | None = None
+        self._adding_late: asyncio.Task[None] | None = None
         self._started_at = time.monotonic()
         self._timer = asyncio.get_running_loop().call_later(CONNECT_LIMIT_S, self._not_connected)
 
@@ -58,7 +59,7 @@ class WhepSession:
         Raises:
             OfferError, CodecError: the offer cannot be answered. The session is to be closed then.
         """
-        check_offer(offer)
+        parsed = parse_offer(offer)
         transceiver = self._connection.addTransceiver(self._track, direction="sendonly")
         # Before the offer is set: aiortc chooses codecs there, else the offerer's first one, which is VP8 in browsers.
         transceiver.setCodecPreferences(_h264_with_retransmission())
@@ -66,7 +67,7 @@ class WhepSession:
         self._connection.on("connectionstatechange", self._state_changed)
         try:
             async with asyncio.timeout(NEGOTIATE_LIMIT_S):
-                await self._connection.setRemoteDescription(RTCSessionDescription(offer, "offer"))
+                await self._connection.setRemoteDescription(RTCSessionDescription(parsed.text, "offer"))
                 await self._connection.setLocalDescription()
         except OperationError:
             raise CodecError("the offer has no H.264 baseline with packetization-mode=1") from None
@@ -74,6 +75,8 @@ class WhepSession:
             raise OfferError(f"the offer could not be answered in {NEGOTIATE_LIMIT_S:g} s") from None
         except (InvalidAccessError, InvalidStateError, ValueError, KeyError, AttributeError) as error:
             raise OfferError(f"the offer cannot be answered: {error}") from None
+        if parsed.late.candidates:
+            self._adding_late = asyncio.create_task(self._add_late(parsed.late))
         return str(self._connection.localDescription.sdp)
 
     async def add_candidates(self, fragment: TrickleFragment) -> None:
@@ -87,6 +90,12 @@ class WhepSession:
             if fragment.complete:
                 await self._connection.addIceCandidate(None)
 
+    async def _add_late(self, fragment: TrickleFragment) -> None:
+        try:
+            await self.add_candidates(fragment)
+        except OfferError as error:
+            logger.info("%s: %s", self.stream.name, error)
+
     async def close(self, reason: str) -> None:
         """End the session. Later callers wait for the first one."""
         if self._closing is None:
@@ -95,6 +104,8 @@ class WhepSession:
 
     async def _close(self, reason: str) -> None:
         self._timer.cancel()
+        if self._adding_late is not None:
+            self._adding_late.cancel()
         self._track.stop()
         try:
             async with asyncio.timeout(CLOSE_LIMIT_S):

@@ -2,7 +2,7 @@
 
 `python -m server.demo.viewer WHEP_URL` runs until SIGINT or SIGTERM and writes one JSON object a line on stdout:
 `{"state", "frames", "width", "height", "timestamp", "time"}`, with `state` the peer connection's, `frames` decoded so
-far, `timestamp` the newest frame's RTP timestamp and `time` this machine's monotonic clock in seconds.
+far, `timestamp` the newest frame's RTP time since the first one (90 kHz) and `time` the monotonic clock in seconds.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Viewer:
         known = RTCRtpReceiver.getCapabilities("video")
         codecs = known.codecs if known else []
         transceiver.setCodecPreferences([codec for codec in codecs if codec.mimeType == "video/H264"])
-        self._receiving = asyncio.create_task(self._receive(transceiver.receiver.track))
+        self._peer.on("track", self._on_track)
         await self._peer.setLocalDescription(await self._peer.createOffer())
         answer, location = await asyncio.to_thread(_post_offer, self._url, self._peer.localDescription.sdp)
         self._session_url = urljoin(self._url, location)
@@ -73,9 +73,20 @@ class Viewer:
             self._receiving.cancel()
             await asyncio.gather(self._receiving, return_exceptions=True)
 
+    def check(self) -> None:
+        """Raises ViewerError when nothing can come any more, or whatever broke the receiving."""
+        if self._receiving is not None and self._receiving.done():
+            self._receiving.result()
+            raise ViewerError("the stream has ended")
+        if self.state in ("failed", "closed"):
+            raise ViewerError(f"the connection is {self.state}")
+
     def progress(self) -> dict[str, Any]:
         return {"state": self.state, "frames": self.frames, "width": self.size[0], "height": self.size[1],
                 "timestamp": self.timestamp, "time": time.monotonic()}
+
+    def _on_track(self, track: MediaStreamTrack) -> None:
+        self._receiving = asyncio.create_task(self._receive(track))
 
     async def _receive(self, track: MediaStreamTrack) -> None:
         with contextlib.suppress(MediaStreamError):
@@ -114,6 +125,7 @@ async def watch(url: str) -> None:
         await viewer.start()
         while not stop.is_set():
             print(json.dumps(viewer.progress()), flush=True)
+            viewer.check()
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(stop.wait(), REPORT_EVERY_S)
     finally:

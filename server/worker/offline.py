@@ -118,14 +118,14 @@ def _scene(path: Path | None, preset: str | None) -> tuple[Scene, Path | None]:
             data = json.loads(path.read_text())
         except ValueError as error:
             raise UsageError(f"scene {path.name!r} is not JSON: {error}") from None
+    if preset is not None and isinstance(data, dict):
+        data["lighting"] = {**(data.get("lighting") or {}), "preset": preset}
     try:
         scene = Scene.model_validate(data, context={"allow_mesh_paths": True})
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "scene"
-        raise UsageError(f"scene {path.name if path else ''!r}: {where}: {first['msg']}, given {first['input']!r:.120}") from None
-    if preset is not None:
-        scene = scene.model_copy(update={"lighting": scene.lighting.model_copy(update={"preset": preset})})
+        raise UsageError(f"scene {path.name if path else 'of the command line'!r}: {where}: {first['msg']}, given {first['input']!r:.120}") from None
     return scene, path.parent if path else None
 
 

@@ -35,7 +35,7 @@ READ_VIDEO = """
 
 
 @contextlib.contextmanager
-def chromium_page(width: int = 960, height: int = 600) -> Iterator[Page]:
+def chromium_page(width: int = 480, height: int = 300) -> Iterator[Page]:
     """A fresh browser with one page. `page.console_errors` collects what the page complains about."""
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, headless=True, args=FLAGS)

@@ -12,7 +12,7 @@ import pytest
 from aiortc import RTCConfiguration, RTCPeerConnection
 from conftest import Served, start_service, stop_service, wait_for
 from test_rest_scene import assert_problem
-from whep_viewer import WhepViewer
+from whep_viewer import WhepViewer, hide_addresses
 
 OFFER_TYPE = {"Content-Type": "application/sdp"}
 FRAGMENT_TYPE = {"Content-Type": "application/trickle-ice-sdpfrag"}
@@ -176,3 +176,17 @@ async def test_capacity_and_ice_servers(tmp_path_factory: pytest.TempPathFactory
             assert again.status_code == 201
     finally:
         stop_service(served)
+
+
+async def test_an_address_that_does_not_resolve_delays_nobody(served: Served, client: httpx.Client) -> None:
+    """Browsers hide their address behind an mDNS name. One that nobody knows costs the connection no second."""
+    async with WhepViewer(served.url, hide_address=True) as viewer:
+        await viewer.next_frame()
+    hidden = hide_addresses(await new_offer())
+    durations = {}
+    for name, offer in (("hidden", hidden), ("plain", await new_offer())):
+        began = time.monotonic()
+        response = client.post("/whep/live", content=offer, headers=OFFER_TYPE)
+        durations[name] = time.monotonic() - began
+        assert client.delete(response.headers["location"]).status_code == 200
+    assert durations["hidden"] < durations["plain"] + 0.9, durations

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from types import TracebackType
 from typing import Any
 
@@ -16,7 +17,7 @@ RECEIVE_LIMIT_S = 30.0
 class WhepViewer:
     """`async with WhepViewer(url) as viewer: frame = await viewer.next_frame()`."""
 
-    def __init__(self, base_url: str, stream: str = "live") -> None:
+    def __init__(self, base_url: str, stream: str = "live", *, hide_address: bool = False) -> None:
         self.http = httpx.AsyncClient(base_url=base_url, timeout=30)
         self.connection = RTCPeerConnection(RTCConfiguration(iceServers=[]))
         self.receiver = self.connection.addTransceiver("video", direction="recvonly").receiver
@@ -24,6 +25,7 @@ class WhepViewer:
         self.session_url = ""
         self.etag = ""
         self._endpoint = f"/whep/{stream}"
+        self._hide_address = hide_address
 
     async def __aenter__(self) -> WhepViewer:
         try:
@@ -39,7 +41,8 @@ class WhepViewer:
 
     async def offer(self) -> str:
         await self.connection.setLocalDescription(await self.connection.createOffer())
-        return str(self.connection.localDescription.sdp)
+        offer = str(self.connection.localDescription.sdp)
+        return hide_addresses(offer) if self._hide_address else offer
 
     async def connect(self) -> None:
         self._record_rtp()
@@ -76,6 +79,11 @@ class WhepViewer:
             await handle(packet, arrival_time_ms)
 
         self.receiver._handle_rtp_packet = record  # type: ignore[method-assign]
+
+
+def hide_addresses(offer: str) -> str:
+    """The offer with the candidates' addresses replaced by an mDNS name, as browsers do it, that nobody answers to."""
+    return re.sub(r"(?m)^(a=candidate:\S+ \d \S+ \d+ )\S+", r"\g<1>8d4a7c1e-0000-4000-8000-000000000000.local", offer)
 
 
 def _nal_type(payload: bytes) -> int:

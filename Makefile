@@ -1,0 +1,57 @@
+# `make demo` and `make test` set up everything they need on a fresh Debian 12 or Ubuntu 24.04; both are quick when it is there.
+SHELL := /bin/bash
+VENV := .venv
+BIN := $(VENV)/bin
+ARGS ?=
+PYTEST_ARGS ?=
+
+.PHONY: help demo test lint check-python check-web e2e setup setup-test lock clean
+
+help: ## show the targets
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 16
+
+demo: setup ## a synthetic 360 camera, the service and a sample scene; ARGS="--duration 30 --report demo.json"
+	$(BIN)/mr360 demo $(ARGS)
+
+test: lint check-python check-web e2e ## everything: style, types, unit tests, browser and media servers
+
+lint: setup-test ## ruff and mypy
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+check-python: setup-test ## unit tests
+	$(BIN)/python -m pytest tests/renderer tests/worker tests/server $(PYTEST_ARGS)
+
+check-web: setup-test ## unit tests of the page's modules
+	node --test tests/web/*.test.js
+
+e2e: setup-test ## real RTMP and RTSP servers, real Chromium, a real headset runtime
+	$(BIN)/python -m pytest tests/e2e tests/web $(PYTEST_ARGS)
+
+setup: $(VENV)/.run-ready ## what the service needs
+setup-test: $(VENV)/.test-ready ## what the tests need
+
+$(VENV)/.run-ready: requirements.lock pyproject.toml scripts/apt-packages.sh
+	@scripts/apt-packages.sh run
+	@echo "setting up the Python environment in $(VENV)"
+	@test -x $(BIN)/python || "$$(scripts/find-python.sh)" -m venv $(VENV)
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -e .
+	@touch $@
+
+$(VENV)/.test-ready: $(VENV)/.run-ready requirements-dev.lock package-lock.json
+	@scripts/apt-packages.sh test
+	@echo "setting up what the tests need: Python packages, npm packages"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements-dev.lock
+	@npm ci --silent --no-audit --no-fund
+	@touch $@
+
+lock: setup-test ## resolve the dependencies of pyproject.toml anew
+	$(BIN)/python -m pip install --quiet uv
+	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --upgrade \
+		pyproject.toml -o requirements.lock
+	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --upgrade --extra dev \
+		-c requirements.lock pyproject.toml -o requirements-dev.lock
+
+clean: ## remove what setup made
+	rm -rf $(VENV) node_modules build *.egg-info

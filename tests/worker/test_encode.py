@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+import time
+
+import av
+import numpy as np
+import pytest
+
+from renderer.color import YuvFormat
+from server.worker.encode import Composited, Encoder, EncodeThread, default_bitrate
+from tests.renderer.frames import noise_frame, yuv_from_linear
+
+
+def composited(size: tuple[int, int], number: int, layout: YuvFormat | None = None) -> Composited:
+    width, height = size
+    ramp = np.broadcast_to(np.linspace(0, 1, width)[None, :, None], (height, width, 3))
+    return Composited(yuv_from_linear(np.roll(ramp, number, axis=1), layout), number, number * 3000, time.monotonic(), 0.0)
+
+
+def test_the_bitrate_follows_the_geometry() -> None:
+    assert default_bitrate(2048, 1024) >= 12_000_000
+    assert default_bitrate(3840, 1920) >= 30_000_000
+    assert default_bitrate(640, 320) < 4_000_000
+
+
+@pytest.mark.parametrize(("size", "level"), [((640, 320), 30), ((2048, 1024), 40), ((3840, 1920), 51)])
+def test_the_stream_is_constrained_baseline_at_a_level_that_fits(size: tuple[int, int], level: int) -> None:
+    encoder = Encoder(size, 30, default_bitrate(*size), bt709=True, full_range=False)
+    units = encoder.encode(composited(size, 0), keyframe=False)
+    payload, keyframe = units[0]
+    assert keyframe
+    start = payload.index(b"\x00\x00\x01\x67") + 3
+    profile, constraints, found = payload[start + 1], payload[start + 2], payload[start + 3]
+    assert profile == 66
+    assert constraints & 0x40
+    assert level <= found <= 52
+
+
+@pytest.mark.parametrize("layout", [YuvFormat("bt709", False), YuvFormat("bt601", True)])
+def test_decoding_gives_the_picture_and_its_tags_back(layout: YuvFormat) -> None:
+    item = composited((640, 320), 0, layout)
+    encoder = Encoder((640, 320), 30, 8_000_000, bt709=layout.matrix == "bt709", full_range=layout.full_range)
+    decoder = av.CodecContext.create("h264", "r")
+    packets = [av.Packet(payload) for payload, _ in encoder.encode(item, keyframe=True)]
+    frames = [frame for packet in packets for frame in decoder.decode(packet)] + decoder.decode(None)
+    assert len(frames) == 1
+    assert (int(frames[0].colorspace), int(frames[0].color_range)) == (1 if layout.matrix == "bt709" else 6,
+                                                                     2 if layout.full_range else 1)
+    luma = frames[0].to_ndarray()[:320].astype(int)
+    assert np.abs(luma - item.picture.y).mean() < 2
+
+
+def test_a_keyframe_comes_on_request_and_requests_are_rate_limited() -> None:
+    seen: list[bool] = []
+    thread = EncodeThread(lambda payload, keyframe, item: seen.append(keyframe))
+
+    def encode_one(number: int) -> None:
+        count = len(seen)
+        thread.pictures.put(composited((128, 64), number))
+        deadline = time.monotonic() + 10
+        while len(seen) == count and time.monotonic() < deadline:
+            time.sleep(0.005)
+
+    try:
+        encode_one(0)
+        encode_one(1)
+        thread.request_keyframe()
+        thread.request_keyframe()
+        encode_one(2)              # too soon after the first
+        time.sleep(0.6)
+        encode_one(3)
+        encode_one(4)
+    finally:
+        thread.stop()
+    assert thread.error is None
+    assert seen == [True, False, False, True, False]
+
+
+def test_a_change_of_bitrate_or_size_needs_no_new_thread() -> None:
+    seen: list[int] = []
+    thread = EncodeThread(lambda payload, keyframe, item: seen.append(item.frame))
+    try:
+        for number, size in enumerate([(128, 64), (256, 128), (128, 64)]):
+            thread.set_bitrate(1_000_000 * (number + 1))
+            thread.pictures.put(composited(size, number))
+            deadline = time.monotonic() + 10
+            while number not in seen and time.monotonic() < deadline:
+                time.sleep(0.005)
+    finally:
+        thread.stop()
+    assert seen == [0, 1, 2]
+    assert thread.pictures.dropped == 0
+
+
+def test_noise_at_full_size_stays_near_the_bitrate() -> None:
+    size = (1024, 512)
+    encoder = Encoder(size, 30, 4_000_000, bt709=True, full_range=False)
+    sizes = [sum(len(payload) for payload, _ in encoder.encode(
+        Composited(noise_frame(size, seed), seed, seed * 3000, 0.0, 0.0), keyframe=False)) for seed in range(30)]
+    assert sum(sizes[5:]) * 8 / (25 / 30) < 3 * 4_000_000
