@@ -19,21 +19,25 @@ from renderer.placement import TILE, TileMask, View
 from renderer.shadows import ShadowMap, ShadowStage
 
 Array = NDArray[np.float64]
-MAX_MAPS = 16             # of each kind in one tile; as in composite.frag.glsl
-ATLAS_COLUMNS = 16
+MAPS = (0, 1, 2, 4, 8)         # light maps in one tile: each number has a program of its own, with constant loops
+AMBIENTS = (0, 1, 2, 4)
+MAX_SHADOWS = 64               # of each kind in one frame; as in composite.vert.glsl
+INSTANCE_INTS = 15
+ATLAS_COLUMNS = 32
 FIRST_UNIT = 16           # after those of the object stage, which draws in between
 
 DrawView = Callable[[View], tuple[moderngl.Texture, tuple[int, int]]]
+Drawn = tuple[View, moderngl.Texture, tuple[int, int]]
+Variant = tuple[bool, int, int]   # has a view; light maps; maps of the residual
 
 
 @dataclass(frozen=True)
 class GroundLight:
-    """What the ground receives without objects: total, per light (by index), and the residual's (9, 3) coefficients."""
+    """What the ground receives without objects: in total, and from each light by index."""
 
     y: float
     total: Array
     lights: list[Array]
-    residual: Array
 
 
 @dataclass(frozen=True)
@@ -52,39 +56,37 @@ class CompositeStage:
         self._panorama = panorama
         self._is_yuv = panorama.kind is YuvFrame
         self._fragments = TILE // 2 if self._is_yuv else TILE
-        defines = {**source_defines(panorama.kind), "OUTPUT_YUV": int(self._is_yuv)}
-        self._program = context.program("composite.vert.glsl", "composite.frag.glsl", defines)
+        self._programs: dict[Variant, moderngl.Program] = {}
+        self._vertex_arrays: dict[Variant, moderngl.VertexArray] = {}
         self._rows = 0
         self._textures: list[moderngl.Texture] = []
         self._framebuffer: moderngl.Framebuffer | None = None
-        self._instances = context.gl.buffer(reserve=12 * 64)
-        self._vertex_array: moderngl.VertexArray | None = None
+        self._instances = context.gl.buffer(reserve=4 * INSTANCE_INTS * 256)
 
     def run(self, views: list[View], draw_view: DrawView, maps: list[Touched], ambient: list[Touched],
             ground: GroundLight | None, shadows: ShadowStage) -> NDArray[np.intp]:
         """Draw every touched tile into the atlas. Returns the (n, 2) row and column of each, in atlas order."""
         masks = [view.tiles for view in views] + [touched.tiles for touched in (*maps, *ambient)]
-        if not masks:
-            return np.zeros((0, 2), dtype=np.intp)
-        tiles = np.argwhere(np.logical_or.reduce(masks))
+        tiles = np.argwhere(np.logical_or.reduce(masks)) if masks else np.zeros((0, 2), dtype=np.intp)
         if not len(tiles):
             return tiles
         self._reserve(len(tiles))
-        self._bind_constants(ground, shadows)
-        map_groups = _group_tiles(tiles, maps, ambient)
+        maps = sorted(maps, key=lambda touched: touched.shadow.light)[:MAX_SHADOWS]
+        self._frame_uniforms = self._constants(maps, ambient[:MAX_SHADOWS], ground)
+        self._prepared: set[Variant] = set()
+        shadows.atlas.use(FIRST_UNIT + 1)
+        shadows.ambient_atlas.use(FIRST_UNIT + 2)
+        map_lists, ambient_lists = _reached(tiles, maps, MAPS[-1]), _reached(tiles, ambient[:MAX_SHADOWS], AMBIENTS[-1])
+        instances = np.concatenate([tiles[:, ::-1], np.arange(len(tiles))[:, None], map_lists, ambient_lists],
+                                   axis=1).astype("i4")
+        kinds = _slots(map_lists, MAPS) * 16 + _slots(ambient_lists, AMBIENTS)
         done = np.zeros(len(tiles), dtype=bool)
         for view in views:
             in_view = view.tiles[tiles[:, 0], tiles[:, 1]]
-            if not in_view.any():
-                continue
-            texture, size = draw_view(view)
-            self._bind_view(view, texture, size)
-            for (map_ids, ambient_ids), members in map_groups.items():
-                self._draw(tiles, members[in_view[members]], [maps[i] for i in map_ids], [ambient[i] for i in ambient_ids], ground)
-            done |= in_view
-        set_uniforms(self._program, {"has_view": 0, "view_axis": -1})
-        for (map_ids, ambient_ids), members in map_groups.items():
-            self._draw(tiles, members[~done[members]], [maps[i] for i in map_ids], [ambient[i] for i in ambient_ids], ground)
+            if in_view.any():
+                self._draw(instances[in_view], kinds[in_view], (view, *draw_view(view)))
+                done |= in_view
+        self._draw(instances[~done], kinds[~done], None)
         return tiles
 
     def _reserve(self, count: int) -> None:
@@ -96,61 +98,70 @@ class CompositeStage:
             dtypes = ["f1", "f1"] if self._is_yuv else ["f4"]
             self._textures = [self._context.texture(size, 4, dtype) for dtype in dtypes]
             self._framebuffer = self._context.gl.framebuffer(self._textures)
-        if self._instances.size < 12 * count or self._vertex_array is None:
-            if self._vertex_array is not None:
-                self._vertex_array.release()
-            self._instances.orphan(12 * max(64, 2 * count))
-            self._vertex_array = self._context.gl.vertex_array(self._program, [(self._instances, "3i/i", "tile")])
+        if self._instances.size < 4 * INSTANCE_INTS * count:
+            release_all(*self._vertex_arrays.values())
+            self._vertex_arrays.clear()
+            self._instances.orphan(8 * INSTANCE_INTS * count)
 
-    def _bind_constants(self, ground: GroundLight | None, shadows: ShadowStage) -> None:
-        textures = [shadows.atlas, *shadows.transfer]
-        for unit, (name, texture) in enumerate(zip(("shadow_atlas", "transfer_0", "transfer_1", "transfer_2"), textures,
-                                                   strict=True), start=FIRST_UNIT + 1):
-            texture.use(unit)
-            set_uniforms(self._program, {name: unit})
+    def _variant(self, variant: Variant) -> tuple[moderngl.Program, moderngl.VertexArray]:
+        if variant not in self._programs:
+            has_view, maps, ambients = variant
+            self._programs[variant] = self._context.program("composite.vert.glsl", "composite.frag.glsl", {
+                **source_defines(self._panorama.kind), "OUTPUT_YUV": int(self._is_yuv), "HAS_VIEW": int(has_view),
+                "MAPS": maps, "AMBIENTS": ambients})
+        program = self._programs[variant]
+        if variant not in self._vertex_arrays:
+            names = [name for name in ("tile", "maps_low", "maps_high", "ambients") if name in program]
+            layout = " ".join(part if name in program else part.replace("3i", "12x").replace("4i", "16x")
+                              for part, name in zip(("3i", "4i", "4i", "4i"), ("tile", "maps_low", "maps_high", "ambients"),
+                                                    strict=True))
+            self._vertex_arrays[variant] = self._context.gl.vertex_array(program, [(self._instances, layout + "/i", *names)])
+        return program, self._vertex_arrays[variant]
+
+    def warm_up(self) -> None:
+        """Compile the variants that a scene may need sooner or later."""
+        for has_view in (False, True):
+            for maps in MAPS[:3]:
+                for ambients in AMBIENTS[:3]:
+                    self._variant((has_view, maps, ambients))
+
+    def _constants(self, maps: list[Touched], ambient: list[Touched], ground: GroundLight | None) -> dict[str, object]:
         assert self._framebuffer is not None
-        set_uniforms(self._program, {
+        values: dict[str, object] = {
+            "shadow_atlas": FIRST_UNIT + 1, "ambient_atlas": FIRST_UNIT + 2, "view_texture": FIRST_UNIT,
             "atlas_size": self._framebuffer.size, "tile_fragments": self._fragments, "tile_pixels": TILE,
-            "atlas_columns": ATLAS_COLUMNS, "view_texture": FIRST_UNIT,
-            "yuv_from_rgb": self._panorama.format.yuv_from_rgb().T if self._is_yuv else 0,
-            "has_view": 0, "view_axis": -1})
-        if ground is not None:
-            set_uniforms(self._program, {"ground_y": ground.y, "ground_irradiance": tuple(ground.total),
-                                         "residual_sh": ground.residual})
+            "atlas_columns": ATLAS_COLUMNS}
+        if self._is_yuv:
+            values["yuv_from_rgb"] = self._panorama.format.yuv_from_rgb().T
+        if ground is None:
+            return values
+        rects = np.zeros((4, MAX_SHADOWS, 4))
+        for kind, touched in ((0, maps), (2, ambient)):
+            for index, item in enumerate(touched):
+                rects[kind, index] = item.shadow.scaled_rect()
+                rects[kind + 1, index] = (*item.shadow.cell_uv(), max(item.shadow.light, 0))
+        lights = np.zeros((8, 3))
+        lights[:len(ground.lights)] = np.reshape(ground.lights, (-1, 3))
+        return values | {"ground_y": ground.y, "ground_irradiance": tuple(ground.total), "light_on_ground": lights,
+                         "map_rect": rects[0], "map_cell": rects[1], "ambient_rect": rects[2], "ambient_cell": rects[3]}
 
-    def _bind_view(self, view: View, texture: moderngl.Texture, size: tuple[int, int]) -> None:
-        texture.use(FIRST_UNIT)
-        left, right, bottom, top = view.bounds
-        # the view fills only a part of its texture
-        scale_x, scale_y = size[0] / texture.width, size[1] / texture.height
-        set_uniforms(self._program, {
-            "has_view": 1, "view_axis": view.cube_axis, "view_from_world": view.rotation.T,
-            "view_bounds": (left, bottom, 1 / (right - left), 1 / (top - bottom)), "view_scale": (scale_x, scale_y)})
-
-    def _draw(self, tiles: NDArray[np.intp], members: NDArray[np.intp], maps: list[Touched], ambient: list[Touched],
-              ground: GroundLight | None) -> None:
-        if not len(members):
-            return
-        assert self._vertex_array is not None
-        assert self._framebuffer is not None
-        by_light = sorted((touched.shadow for touched in maps), key=lambda shadow: shadow.light)[:MAX_MAPS]
-        hidden = [touched.shadow for touched in ambient][:MAX_MAPS]
-        values: dict[str, object] = {"map_count": len(by_light), "ambient_count": len(hidden)}
-        if by_light and ground is not None:
-            ends = [int(i + 1 == len(by_light) or by_light[i + 1].light != s.light) for i, s in enumerate(by_light)]
-            values |= {"map_rect": _padded([s.scaled_rect() for s in by_light]),
-                       "map_cell": _padded([s.cell_uv() for s in by_light]),
-                       "map_irradiance": _padded([tuple(ground.lights[s.light]) for s in by_light]),
-                       "map_ends_light": tuple(ends + [0] * (MAX_MAPS - len(ends)))}
-        if hidden:
-            values |= {"ambient_rect": _padded([s.scaled_rect() for s in hidden]),
-                       "ambient_cell": _padded([s.cell_uv() for s in hidden])}
-        set_uniforms(self._program, values)
-        instances = np.stack([tiles[members, 1], tiles[members, 0], members], axis=1).astype("i4")
-        self._instances.write(instances.tobytes())
-        self._panorama.bind(self._program)
-        self._framebuffer.use()
-        self._vertex_array.render(moderngl.TRIANGLE_STRIP, vertices=4, instances=len(members))
+    def _draw(self, instances: NDArray[np.int32], kinds: NDArray[np.intp], drawn: Drawn | None) -> None:
+        for kind in np.unique(kinds):
+            variant = (drawn is not None, int(kind) // 16, int(kind) % 16)
+            program, vertex_array = self._variant(variant)
+            if variant not in self._prepared:
+                self._prepared.add(variant)
+                set_uniforms(program, self._frame_uniforms)
+            self._panorama.bind(program)
+            if drawn is None:
+                set_uniforms(program, {"view_axis": -1})
+            else:
+                _bind_view(program, *drawn)
+            chosen = instances[kinds == kind]
+            self._instances.write(np.ascontiguousarray(chosen))
+            assert self._framebuffer is not None
+            self._framebuffer.use()
+            vertex_array.render(moderngl.TRIANGLE_STRIP, vertices=4, instances=len(chosen))
 
     def _read(self, count: int, attachment: int) -> NDArray[np.generic]:
         """(count, fragments, fragments, 4) tiles of the atlas."""
@@ -189,28 +200,32 @@ class CompositeStage:
 
     def release(self) -> None:
         self._release_target()
-        release_all(self._vertex_array, self._instances, self._program)
+        release_all(*self._vertex_arrays.values(), *self._programs.values(), self._instances)
 
 
-def _padded(rows: list[tuple[float, ...]]) -> NDArray[np.float64]:
-    array = np.array(rows, dtype=np.float64)
-    return np.pad(array, ((0, MAX_MAPS - len(array)), (0, 0)))
+def _bind_view(program: moderngl.Program, view: View, texture: moderngl.Texture, size: tuple[int, int]) -> None:
+    texture.use(FIRST_UNIT)
+    left, right, bottom, top = view.bounds
+    set_uniforms(program, {
+        "view_axis": view.cube_axis, "view_from_world": view.rotation.T,
+        "view_bounds": (left, bottom, 1 / (right - left), 1 / (top - bottom)),
+        "view_scale": (size[0] / texture.width, size[1] / texture.height)})
 
 
-def _group_tiles(tiles: NDArray[np.intp], maps: list[Touched],
-                 ambient: list[Touched]) -> dict[tuple[tuple[int, ...], tuple[int, ...]], NDArray[np.intp]]:
-    """Tiles by the shadow maps that reach them, so that each pixel looks only those up."""
-    def membership(touched: list[Touched]) -> NDArray[np.bool_]:
-        if not touched:
-            return np.zeros((len(tiles), 0), dtype=bool)
-        return np.stack([t.tiles[tiles[:, 0], tiles[:, 1]] for t in touched], axis=1)
+def _reached(tiles: NDArray[np.intp], touched: list[Touched], most: int) -> NDArray[np.intp]:
+    """(tiles, most) indices of the shadow maps that reach each tile, in their order, then -1."""
+    if not touched:
+        return np.full((len(tiles), most), -1, dtype=np.intp)
+    reached = np.stack([t.tiles[tiles[:, 0], tiles[:, 1]] for t in touched], axis=1)
+    order = np.argsort(~reached, axis=1, kind="stable")[:, :most]
+    lists = np.where(np.take_along_axis(reached, order, axis=1), order, -1)
+    return np.pad(lists, ((0, 0), (0, most - lists.shape[1])), constant_values=-1)
 
-    in_maps, in_ambient = membership(maps), membership(ambient)
-    groups: dict[tuple[tuple[int, ...], tuple[int, ...]], list[int]] = {}
-    for index in range(len(tiles)):
-        key = (tuple(np.flatnonzero(in_maps[index]).tolist()), tuple(np.flatnonzero(in_ambient[index]).tolist()))
-        groups.setdefault(key, []).append(index)
-    return {key: np.array(members, dtype=np.intp) for key, members in groups.items()}
+
+def _slots(lists: NDArray[np.intp], sizes: tuple[int, ...]) -> NDArray[np.intp]:
+    """The smallest of `sizes` that holds each row's entries."""
+    counts = (lists >= 0).sum(axis=1)
+    return np.asarray(sizes, dtype=np.intp)[np.searchsorted(sizes, counts)]
 
 
 def _scatter(plane: NDArray[np.generic], blocks: NDArray[np.generic], tiles: NDArray[np.intp]) -> None:

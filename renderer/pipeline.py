@@ -83,7 +83,7 @@ class Pipeline:
         self._panorama = PanoramaTextures(context, kind, size)
         self._radiance = RadianceMapStage(context, self._panorama)
         self._objects = ObjectStage(context, self._panorama, self._radiance.texture)
-        self._shadows = ShadowStage(context)
+        self._shadows = ShadowStage(context, size)
         self._composite = CompositeStage(context, self._panorama)
         self._meshes = MeshLibrary(lambda mesh: GpuMesh(context, self._objects.surface_programs, mesh), assets, mesh_root)
         self._tracker = LightTracker()
@@ -166,7 +166,7 @@ class Pipeline:
             return None
         lights = [item.irradiance * max(float(item.direction @ UP), 0.0) for item in light.detection.lights]
         ambient = np.maximum(irradiance(light.coefficients, UP), 0.0)
-        return GroundLight(-scene.camera_height, ambient + sum(lights, np.zeros(3)), lights, light.coefficients[:9])
+        return GroundLight(-scene.camera_height, ambient + sum(lights, np.zeros(3)), lights)
 
     def _cast(self, scene: Scene, placed: dict[str, PlacedMesh], light: FrameLight,
               ground: GroundLight) -> tuple[list[Touched], list[Touched]]:
@@ -181,6 +181,7 @@ class Pipeline:
                 if ground.lights[index] @ WEIGHTS > gate:
                     maps.append(self._shadows.light_shadow(caster, item, index, ground.y))
             ambient.append(self._shadows.ambient_shadow(key, caster, ground.y))
+        self._shadows.weigh_ambient([shadow for shadow in ambient if shadow is not None], light.coefficients[:9])
 
         def touched(shadows: list[ShadowMap | None]) -> list[Touched]:
             return [Touched(s, touched_tiles(s.outline(ground.y), self._size)) for s in shadows if s is not None]

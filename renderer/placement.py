@@ -15,11 +15,11 @@ from renderer.equirectangular import uv_from_direction
 
 Array = NDArray[np.float64]
 TileMask = NDArray[np.bool_]
-TILE = 32                          # pixels; even, so that chroma blocks are whole
+TILE = 16                          # pixels; even, so that chroma blocks are whole
 MARGIN_PIXELS = 2
 MAX_VIEW_HALF_ANGLE = np.radians(50.0)
 NEAR_M = 0.02
-DENSITY = 1.4                      # view pixels per panorama pixel, at the centre of the view
+DENSITY = 1.0                      # view pixels per panorama pixel, at the centre of the view
 MAX_VIEW_SIZE = 2048
 
 

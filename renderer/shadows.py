@@ -14,6 +14,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from renderer.equirectangular import uv_from_direction
 from renderer.gl import GL_CLIP_DISTANCE0, Context, release_all, set_uniforms
 from renderer.light_detection import Light
 from renderer.objects import PlacedMesh
@@ -22,27 +23,31 @@ Array = NDArray[np.float64]
 CELL = 256                 # texels a side of one light's shadow map
 AMBIENT_CELL = 128
 GRID = 8                   # cells a side of either atlas
-MAX_SAMPLES = 32
+MAX_SAMPLES = 12
 AMBIENT_SAMPLES = 96
+FIRST_UNIT = 8            # texture units after the panorama's
 MIN_ELEVATION = np.sin(np.radians(3.0))   # of a sample; flatter ones would cast without end
 MAX_REACH_M = 40.0
-_PADDING = 3.0 / CELL
+_PADDING = 0.02     # of a rectangle, so that no shadow touches its edge
 
 
 @dataclass(frozen=True)
 class ShadowMap:
-    """Cell of the atlas, ground rectangle (x0, z0, x1, z1) in metres, index of the light (-1: the residual)."""
+    """Cell of the atlas, ground rectangle (x0, z0, x1, z1) in metres, index of the light (-1: the residual), and how many
+    texels a side of the cell are in use."""
 
     cell: int
     rect: tuple[float, float, float, float]
     light: int
+    texels: int = CELL
 
     def scaled_rect(self) -> tuple[float, float, float, float]:
         x0, z0, x1, z1 = self.rect
         return (x0, z0, 1 / (x1 - x0), 1 / (z1 - z0))
 
-    def cell_uv(self) -> tuple[float, float, float, float]:
-        return (self.cell % GRID / GRID, self.cell // GRID / GRID, 1 / GRID, 1 / GRID)
+    def cell_uv(self) -> tuple[float, float, float]:
+        share = (1.0 if self.light < 0 else self.texels / CELL) / GRID
+        return (self.cell % GRID / GRID, self.cell // GRID / GRID, share)
 
     def outline(self, ground_y: float) -> Array:
         """(n, 3) points on the edge of what the map covers: its rectangle, or for the residual the ellipse in it."""
@@ -81,13 +86,18 @@ def _hemisphere_directions(count: int) -> Array:
 class ShadowStage:
     """Owns the shadow programs and both atlases."""
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, context: Context, frame_size: tuple[int, int]) -> None:
         gl = self._gl = context.gl
+        self._frame_size = frame_size
         self._light_program = context.program("shadow.vert.glsl", "shadow.frag.glsl")
         self._ambient_program = context.program("shadow.vert.glsl", "ambient_shadow.frag.glsl")
         size, ambient_size = (GRID * CELL,) * 2, (GRID * AMBIENT_CELL,) * 2
         self.atlas = context.texture(size, 1, "f2")
         self.transfer = [context.texture(ambient_size, 4, "f2") for _ in range(3)]
+        self.ambient_atlas = context.texture(ambient_size, 4, "f2")
+        self._missing_program = context.program("full_screen.vert.glsl", "ambient_missing.frag.glsl")
+        self._missing_triangle = gl.vertex_array(self._missing_program, [])
+        self._missing_target = gl.framebuffer([self.ambient_atlas])
         self._depth = [gl.depth_renderbuffer(size), gl.depth_renderbuffer(ambient_size)]
         self._target = gl.framebuffer([self.atlas], self._depth[0])
         self._ambient_target = gl.framebuffer(self.transfer, self._depth[1])
@@ -112,20 +122,21 @@ class ShadowStage:
         if not len(rim):
             return None
         rect = _ground_rect(points, rim, ground_y)
-        texel = max(rect[2] - rect[0], rect[3] - rect[1]) / CELL
+        texels = self._texels(rect, ground_y)
+        texel = max(rect[2] - rect[0], rect[3] - rect[1]) / texels
         elevation = max(float(light.direction[1]), 0.05)
         penumbra = 2 * light.angular_radius * height / elevation**2
-        count = 1 if penumbra < texel else int(np.clip(penumbra / texel, 8, MAX_SAMPLES))
+        count = 1 if penumbra < texel else int(np.clip(penumbra / texel, 6, MAX_SAMPLES))
         samples = disc_directions(light.direction, light.angular_radius, count) if count > 1 else light.direction[None]
         samples = samples[samples[:, 1] > MIN_ELEVATION]
         if not len(samples):
             return None
-        shadow = ShadowMap(self._used, rect, light_index)
+        shadow = ShadowMap(self._used, rect, light_index, texels)
         self._used += 1
         set_uniforms(self._light_program, {
             "sample_direction": np.pad(samples, ((0, 128 - len(samples)), (0, 0))), "sample_count": len(samples),
             "weight": 1.0 / count})
-        self._draw(self._target, CELL, self._light_program, 0, placed, shadow, ground_y, len(samples))
+        self._draw(self._target, self._light_program, 0, placed, shadow, ground_y, len(samples))
         return shadow
 
     def ambient_shadow(self, key: str, placed: PlacedMesh, ground_y: float) -> ShadowMap | None:
@@ -141,22 +152,44 @@ class ShadowStage:
             self._ambient.pop(key, None)
             return None
         low, high = points.min(axis=0), points.max(axis=0)
-        reach = 1.4 * max(high[1] - ground_y, 0.3 * float(np.linalg.norm(high - low)))
+        reach = 1.1 * max(high[1] - ground_y, 0.3 * float(np.linalg.norm(high - low)))
         shadow = ShadowMap(cell, (float(low[0] - reach), float(low[2] - reach), float(high[0] + reach),
                                   float(high[2] + reach)), -1)
         self._ambient[key] = (state, shadow)
-        self._draw(self._ambient_target, AMBIENT_CELL, self._ambient_program, 1, placed, shadow, ground_y, AMBIENT_SAMPLES)
+        self._draw(self._ambient_target, self._ambient_program, 1, placed, shadow, ground_y, AMBIENT_SAMPLES)
         return shadow
+
+    def _texels(self, rect: tuple[float, float, float, float], ground_y: float) -> int:
+        """Texels a side for a map that is about as fine as the frame's pixels that show it."""
+        uv = uv_from_direction(ShadowMap(0, rect, 0).outline(ground_y))
+        across = (uv[:, 0] - uv[0, 0] + 0.5) % 1.0
+        pixels = max(np.ptp(across) * self._frame_size[0], np.ptp(uv[:, 1]) * self._frame_size[1])
+        return int(np.clip(np.ceil(1.2 * pixels / 16) * 16, 48, CELL))
+
+    def weigh_ambient(self, shadows: list[ShadowMap], residual: Array) -> None:
+        """Turn the maps' transfer vectors into missing irradiance, by the residual's (9, 3) coefficients of this frame."""
+        self._missing_target.use()
+        for unit, texture in enumerate(self.transfer):
+            texture.use(FIRST_UNIT + unit)
+            set_uniforms(self._missing_program, {f"transfer_{unit}": FIRST_UNIT + unit})
+        set_uniforms(self._missing_program, {"residual_sh": residual})
+        for shadow in shadows:
+            viewport = (shadow.cell % GRID * AMBIENT_CELL, shadow.cell // GRID * AMBIENT_CELL, AMBIENT_CELL, AMBIENT_CELL)
+            self._missing_target.viewport = viewport
+            set_uniforms(self._missing_program, {"cell": viewport})
+            self._missing_triangle.render(moderngl.TRIANGLES, 3)
 
     def forget_ambient(self, keys: set[str]) -> None:
         """Free the cells of objects that are gone: all but `keys`."""
         for key in set(self._ambient) - keys:
             del self._ambient[key]
 
-    def _draw(self, target: moderngl.Framebuffer, cell_size: int, program: moderngl.Program, which: int,
+    def _draw(self, target: moderngl.Framebuffer, program: moderngl.Program, which: int,
               placed: PlacedMesh, shadow: ShadowMap, ground_y: float, samples: int) -> None:
         gl = self._gl
-        viewport = (shadow.cell % GRID * cell_size, shadow.cell // GRID * cell_size, cell_size, cell_size)
+        cell = target.width // GRID
+        used = cell if shadow.light < 0 else shadow.texels
+        viewport = (shadow.cell % GRID * cell, shadow.cell // GRID * cell, used, used)
         target.use()
         target.viewport = viewport
         target.clear(0.0, 0.0, 0.0, 0.0, depth=1.0, viewport=viewport)
@@ -184,6 +217,7 @@ class ShadowStage:
     def release(self) -> None:
         for _, buffers, arrays in self._proxies.values():
             release_all(*arrays, *buffers)
+        release_all(self._missing_target, self._missing_triangle, self._missing_program, self.ambient_atlas)
         release_all(self._target, self._ambient_target, self.atlas, *self.transfer, *self._depth, self._light_program,
                      self._ambient_program)
 

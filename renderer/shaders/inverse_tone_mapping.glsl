@@ -10,12 +10,13 @@ uniform sampler2D inverse_gain_table;   // R32F, 1 / k by sqrt(luminance / peak)
 float sanitize(float x) { return x >= 0.0 ? (x < MAX_RADIANCE ? x : MAX_RADIANCE) : 0.0; }
 vec3 sanitize(vec3 c) { return vec3(sanitize(c.r), sanitize(c.g), sanitize(c.b)); }
 
-vec3 radiance_from_linear(vec3 rgb) {
-    float luminance = clamp(dot(rgb, LUMINANCE_WEIGHTS), 0.0, 1.0);
-    float s = luminance <= 0.0031308 ? luminance * 12.92 : 1.055 * pow(luminance, 1.0 / 2.4) - 0.055;
-    float s2 = s * s, s4 = s2 * s2;
-    return rgb * (10.0 * s4 * s4 * s2 + 1.8);
+// k of the papers' eq. 2 as a polynomial in linear luminance, within 0.1 %.
+float tone_gain(float luminance) {
+    float y = clamp(luminance, 0.0, 1.0), y2 = y * y;
+    return 1.8 + 10.0 * y2 * y * (y2 * 0.3260031 + (y * 0.77051668 - 0.0954733));
 }
+
+vec3 radiance_from_linear(vec3 rgb) { return rgb * tone_gain(dot(rgb, LUMINANCE_WEIGHTS)); }
 
 vec3 linear_from_radiance(vec3 radiance) {
     float position = sqrt(clamp(dot(radiance, LUMINANCE_WEIGHTS) / PEAK_GAIN, 0.0, 1.0));

@@ -3,22 +3,25 @@
 #include "equirectangular.glsl"
 #include "panorama.glsl"
 
-const int MAX_LIGHTS = 8;
 const int MAX_LOBES = 16;
 
-uniform sampler2D normal_coverage;      // resolved: everything is weighted by coverage
-uniform sampler2D color_metallic;
+uniform sampler2D geometry;             // 2 x 2 samples a pixel: normal times distance; surface, 0 for none
+#if TEXTURED
+uniform sampler2D color_metallic;       // of the samples
 uniform sampler2D emissive_roughness;
-uniform sampler2D distance_from_camera;
+#else
+uniform sampler2D surfaces;             // a row a surface: colour + metallic, emissive + roughness
+#endif
 uniform mat3 world_from_view;           // columns: right, up, forward
 uniform vec4 view_bounds;               // left, bottom, width, height on the tangent plane
 uniform vec2 view_size;
 
 uniform vec3 irradiance_sh[25];         // A_l L_lm
-uniform int light_count;
-uniform vec3 light_direction[MAX_LIGHTS];
-uniform vec3 light_irradiance[MAX_LIGHTS];
-uniform float light_radius[MAX_LIGHTS];
+#if LIGHTS
+uniform vec3 light_direction[LIGHTS];
+uniform vec3 light_irradiance[LIGHTS];  // 0 for an unused entry
+uniform float light_radius[LIGHTS];
+#endif
 uniform sampler2D lobe_atlas;           // maps prefiltered for each roughness in use, lights taken out
 uniform vec4 lobe[MAX_LOBES];           // roughness; u scale, v offset, v scale in the atlas
 uniform vec2 lobe_border;               // half a texel of padding: u offset, unused
@@ -59,7 +62,7 @@ vec3 seen_direction(vec3 from, vec3 ray) {
 vec3 mirror_radiance(vec3 direction, vec3 step_x, vec3 step_y) {
     float footprint = max(length(step_x), length(step_y));
     float pixel = 2.0 * PI / float(frame_size.x);
-    float taps = clamp(ceil(footprint / pixel), 1.0, 3.0);
+    float taps = clamp(ceil(footprint / pixel), 1.0, 2.0);
     vec3 sum = vec3(0.0);
     for (float i = 0.5; i < taps; i += 1.0)
         for (float j = 0.5; j < taps; j += 1.0)
@@ -105,43 +108,63 @@ vec3 shade(Surface s, vec3 view, vec3 reflected, vec3 step_x, vec3 step_y) {
     vec3 compensation = 1.0 + f0 * (1.0 / max(ab.x + ab.y, 1e-3) - 1.0);
     vec3 reflectance = (f0 * ab.x + ab.y) * compensation;
 
+    // loops, because a software renderer runs both sides of an if but leaves a loop that no pixel enters
+    vec3 mirrored = vec3(0.0);
+    for (int once = mirror ? 1 : 0; once > 0; --once) mirrored = mirror_radiance(reflected, step_x, step_y);
+    for (int once = mirror || lobe_count == 0 ? 0 : 1; once > 0; --once) mirrored = prefiltered_radiance(reflected, s.roughness);
+    vec3 glossy = reflectance * mirrored;
     vec3 e = sh_irradiance(s.normal);
-    vec3 glossy = vec3(0.0);
-    for (int once = mirror ? 1 : 0; once > 0; --once) glossy = reflectance * mirror_radiance(reflected, step_x, step_y);
-    if (!mirror && lobe_count > 0) glossy = reflectance * prefiltered_radiance(reflected, s.roughness);
-    for (int i = 0; i < light_count; ++i) {
-        vec3 l = light_direction[i];
-        float n_dot_l = dot(s.normal, l);
-        if (n_dot_l <= 0.0) continue;
-        e += light_irradiance[i] * n_dot_l;
-        if (mirror) continue;   // the frame already shows the light
-        vec3 h = normalize(l + view);
+#if LIGHTS
+    for (int i = 0; i < LIGHTS; ++i) {
+        vec3 l = light_direction[i], h = normalize(l + view);
+        float n_dot_l = max(dot(s.normal, l), 0.0), away = 1.0 - clamp(dot(view, h), 0.0, 1.0), away2 = away * away;
         float spread = ggx_reflection(clamp(dot(s.normal, h), 0.0, 1.0), n_dot_l, n_dot_v, alpha,
                                       min(1.0, alpha + 0.5 * light_radius[i]));
-        vec3 fresnel = f0 + (1.0 - f0) * pow(1.0 - clamp(dot(view, h), 0.0, 1.0), 5.0);
-        glossy += light_irradiance[i] * n_dot_l * spread * fresnel * compensation;
+        vec3 fresnel = f0 + (1.0 - f0) * (away2 * away2 * away);
+        e += light_irradiance[i] * n_dot_l;
+        // what a mirror shows of the light is in the frame already
+        glossy += mirror ? vec3(0.0) : light_irradiance[i] * fresnel * compensation * (n_dot_l * spread);
     }
+#endif
     return s.color * (1.0 - s.metallic) * (1.0 - reflectance) * e / PI + glossy + s.emissive;
 }
 
 void main() {
-    ivec2 pixel = ivec2(gl_FragCoord.xy);
-    vec4 normal = texelFetch(normal_coverage, pixel, 0);
-    float coverage = normal.a;
+    ivec2 first = ivec2(gl_FragCoord.xy) * 2;
+    vec4 samples[4];
+    for (int i = 0; i < 4; ++i) samples[i] = texelFetch(geometry, first + ivec2(i & 1, i >> 1), 0);
+    // the pixel is shaded as the surface most in front of it; the others only count as covered
+    float surface = max(max(samples[0].a, samples[1].a), max(samples[2].a, samples[3].a));
+    vec3 sum = vec3(0.0);
+    float coverage = 0.0, count = 0.0;
+    for (int i = 0; i < 4; ++i) {
+        float same = samples[i].a == surface ? 1.0 : 0.0;
+        sum += same * samples[i].rgb;
+        count += same;
+        coverage += samples[i].a > 0.0 ? 0.25 : 0.0;
+    }
     vec3 direction = normalize(world_from_view * vec3(view_bounds.xy + gl_FragCoord.xy / view_size * view_bounds.zw, 1.0));
+    float distance_from_camera = length(sum) / count;
     Surface s;
-    s.normal = normalize(normal.xyz + vec3(0.0, 1e-6, 0.0));
+    s.normal = sum / max(distance_from_camera * count, 1e-12) + vec3(0.0, 1e-12, 0.0);
     float facing = dot(s.normal, direction);
-    if (facing > 0.0) s.normal = normalize(s.normal - direction * (facing + 1e-3)); // an interpolated normal may look away
-    float share = 1.0 / max(coverage, 1e-4);
-    s.position = direction * texelFetch(distance_from_camera, pixel, 0).r * share;
+    if (facing > 0.0) s.normal -= direction * (facing + 1e-3); // an interpolated normal may look away
+    s.normal = normalize(s.normal);
+    s.position = direction * distance_from_camera;
     vec3 reflected = seen_direction(s.position, reflect(direction, s.normal));
     vec3 step_x = dFdx(reflected), step_y = dFdy(reflected);
     radiance = vec4(0.0);
-    // a loop, because a software renderer runs both sides of an if but leaves a loop that no pixel enters
     for (int once = coverage > 0.0 ? 1 : 0; once > 0; --once) {
-        vec4 color = texelFetch(color_metallic, pixel, 0) * share;
-        vec4 emissive = texelFetch(emissive_roughness, pixel, 0) * share;
+#if TEXTURED
+        vec4 color = vec4(0.0), emissive = vec4(0.0);
+        for (int i = 0; i < 4; ++i) {
+            float same = (samples[i].a == surface ? 1.0 : 0.0) / count;
+            color += same * texelFetch(color_metallic, first + ivec2(i & 1, i >> 1), 0);
+            emissive += same * texelFetch(emissive_roughness, first + ivec2(i & 1, i >> 1), 0);
+        }
+#else
+        vec4 color = texelFetch(surfaces, ivec2(0, int(surface)), 0), emissive = texelFetch(surfaces, ivec2(1, int(surface)), 0);
+#endif
         s.color = color.rgb;
         s.metallic = color.a;
         s.emissive = emissive.rgb;
