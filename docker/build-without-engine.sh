@@ -29,8 +29,10 @@ buildah bud --format docker -f docker/Dockerfile --ignorefile docker/Dockerfile.
 
 container=$(buildah from mr360)
 server=
-trap '[ -z "$server" ] || kill "$server" 2>/dev/null; wait; buildah rm "$container" >/dev/null' EXIT
-buildah run "$container" -- mr360 serve --host 127.0.0.1 --port "$port" &
+trap '[ -z "$server" ] || kill -- "-$server" 2>/dev/null; wait; buildah rm "$container" >/dev/null' EXIT
+# A session of its own, so that one signal reaches buildah, its chroot child and the service.
+setsid buildah --root "$work/storage" --runroot "$work/run" run "$container" -- \
+  mr360 serve --host 127.0.0.1 --port "$port" &
 server=$!
 for _ in $(seq 90); do
   kill -0 "$server" || exit 1

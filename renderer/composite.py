@@ -225,7 +225,7 @@ def _reached(tiles: NDArray[np.intp], touched: list[Touched], most: int) -> NDAr
 def _slots(lists: NDArray[np.intp], sizes: tuple[int, ...]) -> NDArray[np.intp]:
     """The smallest of `sizes` that holds each row's entries."""
     counts = (lists >= 0).sum(axis=1)
-    return np.asarray(sizes, dtype=np.intp)[np.searchsorted(sizes, counts)]
+    return np.asarray(np.asarray(sizes, dtype=np.intp)[np.searchsorted(sizes, counts)])
 
 
 def _scatter(plane: NDArray[np.generic], blocks: NDArray[np.generic], tiles: NDArray[np.intp]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from importlib import resources
 from pathlib import Path
 
@@ -23,7 +23,7 @@ class MeshLibrary:
     def get(self, name: str) -> GpuMesh:
         """The mesh of that name. Raises GltfError, the same one again without reading the file again."""
         path = self._path(name)
-        modified = path.stat().st_mtime if path is not None and path.exists() else 0.0
+        modified = _modified(path)
         kept = self._loaded.get(name)
         if kept is None or kept[0] != modified:
             if kept is not None and isinstance(kept[1], GpuMesh):
@@ -32,6 +32,16 @@ class MeshLibrary:
         if isinstance(kept[1], GltfError):
             raise kept[1]
         return kept[1]
+
+    def state(self, names: Iterable[str]) -> dict[str, float]:
+        """When each of these was last changed on disk; equal states mean equal meshes."""
+        return {name: _modified(self._path_or_none(name)) for name in set(names)}
+
+    def _path_or_none(self, name: str) -> Path | None:
+        try:
+            return self._path(name)
+        except GltfError:
+            return None
 
     def _path(self, name: str) -> Path | None:
         if name in BUILT_IN:
@@ -57,3 +67,10 @@ class MeshLibrary:
             if isinstance(mesh, GpuMesh):
                 mesh.release()
         self._loaded.clear()
+
+
+def _modified(path: Path | None) -> float:
+    try:
+        return path.stat().st_mtime if path is not None else 0.0
+    except OSError:
+        return 0.0

@@ -8,18 +8,19 @@ in one with 2 x 2 samples 4 ms.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
 from renderer.gl import GL_CLIP_DISTANCE0, Context, release_all, set_uniforms
-from renderer.irradiance import COSINE_LOBE
+from renderer.irradiance import COSINE_LOBE, fourth_band_matters
 from renderer.light_detection import Light
 from renderer.mesh import Mesh, Primitive, Surface
 from renderer.panorama import PanoramaTextures, source_defines
 from renderer.placement import View
-from renderer.specular import MIN_ROUGHNESS, Array32, dfg_table
+from renderer.specular import MIN_ROUGHNESS, Array32, dfg_table, quantized_roughness
 
 Array = NDArray[np.float64]
 SAMPLES = 2               # a side of a pixel
@@ -101,6 +102,16 @@ def _material_texture(context: Context, image: NDArray[np.uint8] | None) -> mode
     return texture
 
 
+class Shading(NamedTuple):
+    """What a view's pixels need; each combination in use is a program of its own."""
+
+    textured: bool
+    lights: int
+    fourth_band: bool
+    lobes: bool
+    mirrors: bool
+
+
 class _ViewTarget:
     """Sample buffers of one size and the shaded result. Textured views have the surface in two more buffers."""
 
@@ -127,23 +138,25 @@ class ObjectStage:
         self._radiance_texture = radiance_texture
         self.surface_programs = {textured: context.program("surface.vert.glsl", "surface.frag.glsl", {"TEXTURED": int(textured)})
                                  for textured in (False, True)}
-        self._shading: dict[tuple[bool, int], tuple[moderngl.Program, moderngl.VertexArray]] = {}
+        self._shading: dict[Shading, tuple[moderngl.Program, moderngl.VertexArray]] = {}
         table = dfg_table()
         self._dfg = context.texture((table.shape[1], table.shape[0]), 2, "f4")
         self._dfg.write(table.tobytes())
-        self._surfaces = context.texture((2, MAX_SURFACES), 4, "f4", linear=False)
+        self._surfaces = context.texture((3, MAX_SURFACES), 4, "f4", linear=False)
         self._targets: dict[tuple[int, int, bool], _ViewTarget] = {}
         self._lobe_atlas = context.texture((1, 1), 4, "f4")
         self._uniforms: dict[str, object] = {}
         self._slots = 0
+        self._fourth_band = True
+        self._lobe_cells: dict[float, tuple[float, float, float]] = {}
 
-    def _shading_program(self, textured: bool) -> tuple[moderngl.Program, moderngl.VertexArray]:
-        key = (textured, self._slots)
-        if key not in self._shading:
+    def _shading_program(self, kind: Shading) -> tuple[moderngl.Program, moderngl.VertexArray]:
+        if kind not in self._shading:
             program = self._context.program("full_screen.vert.glsl", "shade.frag.glsl", {
-                **source_defines(self._panorama.kind), "TEXTURED": int(textured), "LIGHTS": self._slots})
-            self._shading[key] = (program, self._context.gl.vertex_array(program, []))
-        return self._shading[key]
+                **source_defines(self._panorama.kind), "TEXTURED": int(kind.textured), "LIGHTS": kind.lights,
+                "FOURTH_BAND": int(kind.fourth_band), "HAS_LOBES": int(kind.lobes), "HAS_MIRRORS": int(kind.mirrors)})
+            self._shading[kind] = (program, self._context.gl.vertex_array(program, []))
+        return self._shading[kind]
 
     def set_illumination(self, illumination: Illumination) -> None:
         """Take over one frame's light."""
@@ -160,6 +173,7 @@ class ObjectStage:
             "ground_y": illumination.ground_y or 0.0,
             "has_ground": int(illumination.ground_y is not None),
         }
+        self._fourth_band = fourth_band_matters(illumination.coefficients)
         below = BELOW_NOTHING if illumination.ground_y is None else illumination.ground_y - 1e-4
         for program in self.surface_programs.values():
             set_uniforms(program, {"clip_below_y": below})
@@ -167,25 +181,28 @@ class ObjectStage:
     def _set_lobes(self, lobes: dict[float, Array32]) -> dict[str, object]:
         """Stack the prefiltered maps in one texture, each with a border of its own wrapped columns and repeated pole rows."""
         if not lobes:
+            self._lobe_cells = {}
             return {"lobe_count": 0}
         ordered = sorted(lobes.items())[:MAX_LOBES]
         width = max(lobe.shape[1] for _, lobe in ordered) + 2
         height = sum(lobe.shape[0] + 2 for _, lobe in ordered)
         atlas = np.zeros((height, width, 4), dtype="f4")
         table = np.zeros((MAX_LOBES, 4))
+        cells = self._lobe_cells = {}
         top = 0
         for index, (roughness, lobe) in enumerate(ordered):
             rows, columns = lobe.shape[:2]
             cell = atlas[top:top + rows + 2, :columns + 2, :3]
             cell[1:-1, 1:-1], cell[1:-1, 0], cell[1:-1, -1] = lobe, lobe[:, -1], lobe[:, 0]
             cell[0], cell[-1] = cell[1], cell[-2]
-            table[index] = (roughness, columns / width, (top + 1) / height, rows / height)
+            cells[roughness] = (columns / width, (top + 1) / height, rows / height)
+            table[index] = (roughness, *cells[roughness])
             top += rows + 2
         if self._lobe_atlas.size != (width, height):
             self._lobe_atlas.release()
             self._lobe_atlas = self._context.texture((width, height), 4, "f4")
         self._lobe_atlas.write(atlas)
-        return {"lobe_count": len(ordered), "lobe": table, "lobe_border": (1 / width, 0.0)}
+        return {"lobe_count": len(ordered), "lobe": table, "lobe_border": 1 / width}
 
     def draw(self, view: View, objects: list[PlacedMesh]) -> tuple[moderngl.Texture, tuple[int, int]]:
         """Draw the view's members. Returns the texture and the part of it, in pixels, that the view fills."""
@@ -195,11 +212,15 @@ class ObjectStage:
         target = self._targets.get(key)
         if target is None:
             target = self._targets[key] = _ViewTarget(self._context, key[:2], textured)
-        self._draw_surfaces(view, members, target, textured)
-        self._shade(view, target, textured)
+        roughnesses = self._draw_surfaces(view, members, target, textured)
+        kind = Shading(textured, self._slots, self._fourth_band,
+                       lobes=bool(self._lobe_cells) and (textured or max(roughnesses) >= MIRROR_BELOW),
+                       mirrors=textured or min(roughnesses) < MIRROR_BELOW)
+        self._shade(view, target, kind)
         return target.texture, view.size
 
-    def _draw_surfaces(self, view: View, members: list[PlacedMesh], target: _ViewTarget, textured: bool) -> None:
+    def _draw_surfaces(self, view: View, members: list[PlacedMesh], target: _ViewTarget, textured: bool) -> list[float]:
+        """Returns the roughness of every surface."""
         gl = self._context.gl
         target.framebuffer.use()
         width, height = view.size[0] * SAMPLES, view.size[1] * SAMPLES
@@ -209,12 +230,13 @@ class ObjectStage:
         gl.enable_direct(GL_CLIP_DISTANCE0)
         program = self.surface_programs[textured]
         set_uniforms(program, {"clip_from_world": view.clip_from_world().T})
-        table: list[tuple[float, ...]] = [(0.0,) * 8]
+        table: list[tuple[float, ...]] = [(0.0,) * 12]
         for item in members:
             self._draw_object(item, program, textured, table)
         gl.disable_direct(GL_CLIP_DISTANCE0)
         gl.enable_only(moderngl.NOTHING)
-        self._surfaces.write(np.array(table[:MAX_SURFACES], dtype="f4"), viewport=(0, 0, 2, min(len(table), MAX_SURFACES)))
+        self._surfaces.write(np.array(table[:MAX_SURFACES], dtype="f4"), viewport=(0, 0, 3, min(len(table), MAX_SURFACES)))
+        return [row[7] for row in table[1:]] or [1.0]
 
     def _draw_object(self, placed: PlacedMesh, program: moderngl.Program, textured: bool,
                      table: list[tuple[float, ...]]) -> None:
@@ -230,7 +252,8 @@ class ObjectStage:
             else:
                 gl.enable(moderngl.CULL_FACE)
             set_uniforms(program, {"surface_index": float(min(len(table), MAX_SURFACES - 1))})
-            table.append((*surface.base_color[:3], surface.metallic, *surface.emissive, surface.roughness))
+            lobe = self._lobe_cells.get(quantized_roughness(surface.roughness), (0.0, 0.0, 0.0))
+            table.append((*surface.base_color[:3], surface.metallic, *surface.emissive, surface.roughness, *lobe, 0.0))
             if textured:
                 self._bind_textures(program, surface, NO_TEXTURES if placed.surface else part.textures)
             part.vertex_arrays[textured].render()
@@ -250,8 +273,8 @@ class ObjectStage:
             "roughness": surface.roughness, "emissive": surface.emissive,
             "alpha_cutoff": -1.0 if surface.alpha_cutoff is None else surface.alpha_cutoff})
 
-    def _shade(self, view: View, target: _ViewTarget, textured: bool) -> None:
-        program, triangle = self._shading_program(textured)
+    def _shade(self, view: View, target: _ViewTarget, kind: Shading) -> None:
+        program, triangle = self._shading_program(kind)
         target.shaded.use()
         target.shaded.viewport = (0, 0, *view.size)
         self._panorama.bind(program)

@@ -40,6 +40,7 @@ class PanoramaTextures:
         self._inverse_gain = context.texture((INVERSE_TABLE_SIZE, 1), 1, "f4")
         self._inverse_gain.write(inverse_gain_table().tobytes())
         self.format = YuvFormat()
+        self._bound: dict[int, YuvFormat] = {}
 
     def write(self, frame: Frame, *, only_packed: bool = False) -> None:
         """Upload; `only_packed` leaves out what compositing needs and the reduction does not.
@@ -59,19 +60,22 @@ class PanoramaTextures:
             rgba[..., :3] = frame.rgb
             self._planes[0].write(rgba)
 
-    def bind(self, program: moderngl.Program) -> None:
-        names = ("luma_plane", "u_plane", "v_plane") if self.kind is YuvFrame else ("rgb_plane",)
-        for unit, (name, texture) in enumerate(zip(names, self._planes, strict=True), start=self.FIRST_UNIT):
+    def use(self) -> None:
+        """Bind the textures; nothing else uses their units, so once a frame is enough."""
+        for unit, texture in enumerate((*self._planes, *self._packed), start=self.FIRST_UNIT):
             texture.use(unit)
-            set_uniforms(program, {name: unit})
-        for unit, (name, texture) in enumerate(zip(("packed_luma", "packed_u", "packed_v"), self._packed, strict=False),
-                                               start=self.FIRST_UNIT + 4):
-            if name in program:
-                texture.use(unit)
-                set_uniforms(program, {name: unit})
-        self._inverse_gain.use(self.FIRST_UNIT + 3)
-        set_uniforms(program, {"inverse_gain_table": self.FIRST_UNIT + 3, "frame_size": self.size,
+        self._inverse_gain.use(self.FIRST_UNIT + 6)
+
+    def bind(self, program: moderngl.Program) -> None:
+        """Tell a program where the frame is, and the meaning of its codes when that has changed."""
+        if self._bound.get(program.glo) == self.format:
+            return
+        names = ("luma_plane", "u_plane", "v_plane", "packed_luma", "packed_u", "packed_v") if self.kind is YuvFrame else (
+            "rgb_plane",)
+        set_uniforms(program, {name: unit for unit, name in enumerate(names, start=self.FIRST_UNIT)})
+        set_uniforms(program, {"inverse_gain_table": self.FIRST_UNIT + 6, "frame_size": self.size,
                                "rgb_from_yuv": self.format.rgb_from_yuv().T})  # GL stores columns
+        self._bound[program.glo] = self.format
 
     def release(self) -> None:
         release_all(*self._planes, *self._packed, self._inverse_gain)

@@ -25,11 +25,11 @@ from renderer.mesh import Surface
 from renderer.mesh_library import MeshLibrary
 from renderer.objects import MIRROR_BELOW, GpuMesh, Illumination, ObjectStage, PlacedMesh
 from renderer.panorama import PanoramaTextures
-from renderer.placement import TILE, View, plan_views, touched_tiles
+from renderer.placement import TILE, TileMask, View, plan_views, touched_tiles
 from renderer.radiance_map import RadianceMapStage
 from renderer.scene import Scene, SceneObject
 from renderer.shadows import ShadowMap, ShadowStage, world_points
-from renderer.specular import prefilter, quantized_roughness
+from renderer.specular import prefilter_all, quantized_roughness
 
 Array = NDArray[np.float64]
 UP = np.array([0.0, 1.0, 0.0])
@@ -63,6 +63,15 @@ class FrameLight:
 
 
 @dataclass(frozen=True)
+class Placement:
+    """The objects that can be drawn, by id; the views that show them; what is wrong with the others."""
+
+    objects: dict[str, PlacedMesh]
+    views: list[View]
+    errors: dict[str, str]
+
+
+@dataclass(frozen=True)
 class Rendered:
     """The composited frame; `errors` names the objects that could not be drawn and why."""
 
@@ -87,12 +96,15 @@ class Pipeline:
         self._composite = CompositeStage(context, self._panorama)
         self._meshes = MeshLibrary(lambda mesh: GpuMesh(context, self._objects.surface_programs, mesh), assets, mesh_root)
         self._tracker = LightTracker()
+        self._shadow_tiles: dict[tuple[ShadowMap, float], TileMask] = {}
+        self._last_placement: tuple[Scene, dict[str, float], Placement] | None = None
 
     def analyse(self, frame: Frame) -> tuple[FrameLight, Timings]:
         """Find the light of a frame without compositing anything."""
         timings = Timings()
         with timings.stage("upload"):
             self._panorama.write(frame, only_packed=True)
+            self._panorama.use()
         return self._light(timings), timings
 
     def render(self, frame: Frame, scene: Scene) -> Rendered:
@@ -103,25 +115,23 @@ class Pipeline:
         visible = [item for item in scene.objects if item.visible]
         with timings.stage("upload"):
             self._panorama.write(frame, only_packed=not visible)
+            self._panorama.use()
         light = self._light(timings)
         if not visible:
             return Rendered(frame, light, 0.0, timings, {})
         with timings.stage("place"):
-            placed, errors = self._place(visible, scene)
-            outlines = [world_points(item) for item in placed.values()]
-            tiles = [touched_tiles(points, self._size) for points in outlines]
-            views = plan_views(outlines, tiles, self._size)
-        objects = list(placed.values())
+            placement = self._placement(scene, visible)
         with timings.stage("glossy"):
-            self._objects.set_illumination(self._illumination(scene, light, objects))
+            self._objects.set_illumination(self._illumination(scene, light, list(placement.objects.values())))
         with timings.stage("shadows"):
             ground = self._ground_light(scene, light)
-            maps, ambient = self._cast(scene, placed, light, ground) if ground else ([], [])
-        touched = self._run_composite(views, objects, maps, ambient, ground, timings)
+            maps, ambient = self._cast(scene, placement.objects, light, ground) if ground else ([], [])
+        touched = self._run_composite(placement, maps, ambient, ground, timings)
         with timings.stage("write"):
             output = self._write(frame, touched)
         self._context.collect()
-        return Rendered(output, light, len(touched) * TILE * TILE / (self._size[0] * self._size[1]), timings, errors)
+        fraction = len(touched) * TILE * TILE / (self._size[0] * self._size[1])
+        return Rendered(output, light, fraction, timings, placement.errors)
 
     def _light(self, timings: Timings) -> FrameLight:
         with timings.stage("radiance_map"):
@@ -131,6 +141,17 @@ class Pipeline:
             detection = Detection(self._tracker.update(detection.lights), detection.residual, detection.threshold)
         with timings.stage("irradiance"):
             return FrameLight(detection, project(detection.residual))
+
+    def _placement(self, scene: Scene, visible: list[SceneObject]) -> Placement:
+        """Where the scene's objects stand; kept until the scene or a model's file changes."""
+        meshes = self._meshes.state(item.mesh for item in visible)
+        if self._last_placement is None or self._last_placement[0] is not scene or self._last_placement[1] != meshes:
+            placed, errors = self._place(visible, scene)
+            outlines = [world_points(item) for item in placed.values()]
+            tiles = [touched_tiles(points, self._size) for points in outlines]
+            placement = Placement(placed, plan_views(outlines, tiles, self._size), errors)
+            self._last_placement = (scene, self._meshes.state(item.mesh for item in visible), placement)
+        return self._last_placement[2]
 
     def _place(self, visible: list[SceneObject], scene: Scene) -> tuple[dict[str, PlacedMesh], dict[str, str]]:
         placed: dict[str, PlacedMesh] = {}
@@ -158,7 +179,7 @@ class Pipeline:
                     for surface in ([item.surface] if item.surface else [part.surface for part in item.mesh.parts])]
         wanted = {quantized_roughness(s.roughness) for s in surfaces if s.roughness >= MIRROR_BELOW}
         residual = light.detection.residual
-        return Illumination(light.coefficients, light.detection.lights, {r: prefilter(residual, r) for r in wanted},
+        return Illumination(light.coefficients, light.detection.lights, prefilter_all(residual, wanted),
                             -scene.camera_height if scene.ground.catcher else None)
 
     def _ground_light(self, scene: Scene, light: FrameLight) -> GroundLight | None:
@@ -183,18 +204,27 @@ class Pipeline:
             ambient.append(self._shadows.ambient_shadow(key, caster, ground.y))
         self._shadows.weigh_ambient([shadow for shadow in ambient if shadow is not None], light.coefficients[:9])
 
-        def touched(shadows: list[ShadowMap | None]) -> list[Touched]:
-            return [Touched(s, touched_tiles(s.outline(ground.y), self._size)) for s in shadows if s is not None]
+        touched = self._touched([shadow for shadow in (*maps, *ambient) if shadow is not None], ground.y)
+        return [item for item in touched if item.shadow.light >= 0], [item for item in touched if item.shadow.light < 0]
 
-        return touched(maps), touched(ambient)
+    def _touched(self, shadows: list[ShadowMap], ground_y: float) -> list[Touched]:
+        """The tiles of each map; those of a map that lies where it lay in the last frame are kept."""
+        tiles = {}
+        for shadow in shadows:
+            kept = self._shadow_tiles.get((shadow, ground_y))
+            tiles[(shadow, ground_y)] = touched_tiles(shadow.outline(ground_y), self._size) if kept is None else kept
+        self._shadow_tiles = tiles
+        return [Touched(shadow, tiles[(shadow, ground_y)]) for shadow in shadows]
 
-    def _run_composite(self, views: list[View], objects: list[PlacedMesh], maps: list[Touched], ambient: list[Touched],
-                       ground: GroundLight | None, timings: Timings) -> NDArray[np.intp]:
+    def _run_composite(self, placement: Placement, maps: list[Touched], ambient: list[Touched], ground: GroundLight | None,
+                       timings: Timings) -> NDArray[np.intp]:
+        objects = list(placement.objects.values())
+
         def draw_view(view: View) -> tuple[moderngl.Texture, tuple[int, int]]:
             return self._objects.draw(view, objects)
 
         with timings.stage("objects_and_composite"):
-            tiles = self._composite.run(views, draw_view, maps, ambient, ground, self._shadows)
+            tiles = self._composite.run(placement.views, draw_view, maps, ambient, ground, self._shadows)
             self._context.gl.finish()
         return tiles
 

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from renderer.frame import YuvFrame
 from renderer.gl import Context, release_all, set_uniforms
-from renderer.inverse_tone_mapping import sanitize
 from renderer.panorama import PanoramaTextures, source_defines
 
 TARGET_WIDTH = 256
@@ -65,7 +64,7 @@ class RadianceMapStage:
         self._triangle.render(moderngl.TRIANGLES, 3)
         pixels = np.frombuffer(self._target.read(components=4, dtype="f4"), dtype="f4")
         texels = pixels.reshape(self.size[1], self.size[0], 4).astype(np.float64)
-        return RadianceMap(sanitize(texels[..., :3]), texels[..., 3])
+        return RadianceMap(texels[..., :3], texels[..., 3])
 
     def release(self) -> None:
         release_all(self._triangle, self._target, self.texture, self._program)

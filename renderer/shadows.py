@@ -20,7 +20,7 @@ from renderer.light_detection import Light
 from renderer.objects import PlacedMesh
 
 Array = NDArray[np.float64]
-CELL = 256                 # texels a side of one light's shadow map
+CELL = 128                 # texels a side of one light's shadow map
 AMBIENT_CELL = 128
 GRID = 8                   # cells a side of either atlas
 MAX_SAMPLES = 12
@@ -64,10 +64,12 @@ class ShadowMap:
 
 def disc_directions(direction: Array, angular_radius: float, count: int) -> Array:
     """(count, 3) unit directions spread evenly over a disc of the sky (Fibonacci spiral)."""
-    helper = np.array([0.0, 1.0, 0.0]) if abs(direction[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
-    right = np.cross(direction, helper)
-    right /= np.linalg.norm(right)
-    up = np.cross(right, direction)
+    x, y, z = direction
+    # an orthonormal basis without a branch that could fail (Duff et al. 2017)
+    sign = 1.0 if z >= 0 else -1.0
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    right, up = np.array([1 + sign * x * x * a, sign * b, -sign * x]), np.array([b, sign + y * y * a, -y])
     index = np.arange(count)
     cosine = 1 - (index + 0.5) / count * (1 - np.cos(angular_radius))
     sine = np.sqrt(np.maximum(1 - cosine**2, 0.0))

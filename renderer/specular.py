@@ -42,10 +42,21 @@ def ggx_lobe(cos_angle: NDArray[np.floating], roughness: float) -> Array:
     return np.asarray(np.maximum(cos_angle, 0.0) / (denominator * denominator))
 
 
+def prefilter_all(radiance: Array, roughnesses: set[float]) -> dict[float, Array32]:
+    """Prefiltered maps for each of these roughness values; smaller maps are made from the next larger one."""
+    lobes, source = {}, radiance
+    for roughness in sorted(roughnesses):
+        rows = map_rows(roughness)
+        if rows < source.shape[0]:
+            source = resample(source, rows, 2 * rows)
+        lobes[roughness] = prefilter(source, roughness)
+    return lobes
+
+
 def prefilter(radiance: Array, roughness: float) -> Array32:
     """(height, width, 3) map to (rows, 2 rows, 3) radiance as a GGX lobe of that roughness sees it."""
     rows = map_rows(roughness)
-    small = resample(radiance, rows, 2 * rows)
+    small = radiance if radiance.shape[:2] == (rows, 2 * rows) else resample(radiance, rows, 2 * rows)
     spectrum = np.fft.rfft(small, axis=1).transpose(1, 0, 2)  # frequency, row, channel
     parts = np.concatenate([spectrum.real, spectrum.imag], axis=2).astype(np.float32)
     filtered = _kernel(quantized_roughness(roughness), rows) @ parts
@@ -77,7 +88,8 @@ def resample(radiance: Array, rows: int, columns: int) -> Array:
     height, width = radiance.shape[:2]
     power = radiance * solid_angles(height, width)[..., None]
     if height % rows == 0 and width % columns == 0:
-        power = power.reshape(rows, height // rows, columns, width // columns, 3).sum(axis=(1, 3))
+        power = power.reshape(rows, height // rows, width * 3).sum(axis=1)
+        power = power.reshape(rows, columns, width // columns, 3).sum(axis=2)
     else:
         power = (_overlap(height, rows) @ power.reshape(height, -1)).reshape(rows, width, 3)
         power = _overlap(width, columns) @ power

@@ -9,8 +9,9 @@ from importlib.resources import files
 from fastapi import APIRouter, Request, Response
 
 from server.api_reference import STYLE, STYLE_PATH, api_reference
-from server.dependencies import StreamDep
+from server.dependencies import ServiceDep
 from server.problems import Problem, shown
+from server.service import Service
 
 CONTENT_TYPES = {
     ".html": "text/html; charset=utf-8",
@@ -39,13 +40,13 @@ async def index() -> Response:
 
 
 @router.get("/view/{stream}")
-async def view(stream: StreamDep) -> Response:
-    return _web_file("view.html")
+async def view(stream: str, request: Request, service: ServiceDep) -> Response:
+    return _stream_page("view.html", stream, request, service)
 
 
 @router.get("/control/{stream}")
-async def control(stream: StreamDep) -> Response:
-    return _web_file("control.html")
+async def control(stream: str, request: Request, service: ServiceDep) -> Response:
+    return _stream_page("control.html", stream, request, service)
 
 
 @router.get("/web/{name}")
@@ -61,6 +62,39 @@ async def docs(request: Request) -> Response:
 @router.get(STYLE_PATH)
 async def docs_style() -> Response:
     return Response(STYLE, media_type=CONTENT_TYPES[".css"], headers=HEADERS)
+
+
+def _stream_page(name: str, stream: str, request: Request, service: Service) -> Response:
+    """The page also comes when there is no such stream, with status 404: it tells a person in words, and waits for it."""
+    if service.streams.find(stream) is not None:
+        return _web_file(name)
+    vary = {"Vary": "Accept"}
+    if not accepts(request.headers.get("accept", ""), "text/html"):
+        raise Problem(HTTPStatus.NOT_FOUND, f"no stream {shown(stream)}", headers=vary)
+    page = _web_file(name)
+    page.status_code = HTTPStatus.NOT_FOUND
+    page.headers.update(vary)
+    return page
+
+
+def accepts(accept: str, media_type: str) -> bool:
+    """Whether an Accept header (RFC 9110 section 12.5.1) takes the media type; an empty one takes everything."""
+    qualities: dict[str, float] = {}
+    for media_range in accept.lower().split(","):
+        name, *parameters = (part.strip() for part in media_range.split(";"))
+        quality = next((_number(value[2:]) for value in parameters if value.startswith("q=")), 1.0)
+        qualities[name] = max(quality, qualities.get(name, 0.0))
+    for name in (media_type, f"{media_type.partition('/')[0]}/*", "*/*"):    # the most specific one counts
+        if name in qualities:
+            return qualities[name] > 0
+    return not accept.strip()
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return 1.0
 
 
 def _web_file(name: str) -> Response:

@@ -136,11 +136,9 @@ void main() {
         vec2 polar = below ? vec2(far.sine.y, far.cosine.y) : vec2(near.sine.y, near.cosine.y);
         Layers layers = layers_at(direction_at(azimuth, polar), missing_residual);
         vec3 yuv = vec3(texelFetch(luma_plane, min(first + ivec2(right, below), frame_size - 1), 0).r, chroma);
-        // a loop, because a software renderer runs both sides of an if but leaves a loop that no pixel enters
-        for (int once = differs(layers) ? 1 : 0; once > 0; --once) {
-            vec3 result = composite(layers, radiance_from_signal(rgb_from_yuv * vec4(yuv, 1.0)));
-            yuv = yuv_from_rgb * vec4(srgb_from_linear(linear_from_radiance(result)), 1.0);
-        }
+        vec3 result = composite(layers, radiance_from_signal(rgb_from_yuv * vec4(yuv, 1.0)));
+        vec3 new_yuv = yuv_from_rgb * vec4(srgb_from_linear(linear_from_radiance(result)), 1.0);
+        yuv = differs(layers) ? new_yuv : yuv;
         luma[i] = yuv.x;
         new_chroma += 0.25 * yuv.yz;
     }

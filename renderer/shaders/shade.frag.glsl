@@ -10,7 +10,7 @@ uniform sampler2D geometry;             // 2 x 2 samples a pixel: normal times d
 uniform sampler2D color_metallic;       // of the samples
 uniform sampler2D emissive_roughness;
 #else
-uniform sampler2D surfaces;             // a row a surface: colour + metallic, emissive + roughness
+uniform sampler2D surfaces;             // a row a surface: colour + metallic, emissive + roughness, its lobe map
 #endif
 uniform mat3 world_from_view;           // columns: right, up, forward
 uniform vec4 view_bounds;               // left, bottom, width, height on the tangent plane
@@ -24,7 +24,7 @@ uniform float light_radius[LIGHTS];
 #endif
 uniform sampler2D lobe_atlas;           // maps prefiltered for each roughness in use, lights taken out
 uniform vec4 lobe[MAX_LOBES];           // roughness; u scale, v offset, v scale in the atlas
-uniform vec2 lobe_border;               // half a texel of padding: u offset, unused
+uniform float lobe_border;              // u of the first column
 uniform int lobe_count;
 uniform sampler2D radiance_map;         // lights included
 uniform sampler2D dfg_table;
@@ -34,13 +34,15 @@ uniform int has_ground;
 
 out vec4 radiance;
 
-// Bands 0, 1, 2 and 4; the third carries no irradiance. Constants as in renderer/irradiance.py.
+// Bands 0, 1, 2 and 4 (the third carries no irradiance), or without the fourth where it is small. Constants as in
+// renderer/irradiance.py.
 vec3 sh_irradiance(vec3 n) {
     float x = n.x, y = n.y, z = n.z, x2 = x * x, y2 = y * y, z2 = z * z;
     vec3 e = 0.2820947918 * irradiance_sh[0]
         + 0.4886025119 * (y * irradiance_sh[1] + z * irradiance_sh[2] + x * irradiance_sh[3])
         + 1.0925484306 * (x * y * irradiance_sh[4] + y * z * irradiance_sh[5] + x * z * irradiance_sh[7])
         + 0.3153915653 * (3.0 * z2 - 1.0) * irradiance_sh[6] + 0.5462742153 * (x2 - y2) * irradiance_sh[8];
+#if FOURTH_BAND
     e += 2.5033429418 * x * y * (x2 - y2) * irradiance_sh[16] + 1.7701307698 * y * z * (3.0 * x2 - y2) * irradiance_sh[17]
         + 0.9461746958 * x * y * (7.0 * z2 - 1.0) * irradiance_sh[18]
         + 0.6690465436 * y * z * (7.0 * z2 - 3.0) * irradiance_sh[19]
@@ -49,6 +51,7 @@ vec3 sh_irradiance(vec3 n) {
         + 0.4730873479 * (x2 - y2) * (7.0 * z2 - 1.0) * irradiance_sh[22]
         + 1.7701307698 * x * z * (x2 - 3.0 * y2) * irradiance_sh[23]
         + 0.6258357354 * (x2 * (x2 - 3.0 * y2) - y2 * (3.0 * x2 - y2)) * irradiance_sh[24];
+#endif
     return max(e, 0.0);
 }
 
@@ -72,21 +75,21 @@ vec3 mirror_radiance(vec3 direction, vec3 step_x, vec3 step_y) {
     return mix(sum / (taps * taps), textureLod(radiance_map, uv_from_direction(direction), 0.0).rgb, coarse);
 }
 
-vec3 lobe_at(int i, vec2 uv) {
-    return textureLod(lobe_atlas, vec2(lobe_border.x + uv.x * lobe[i].y, lobe[i].z + uv.y * lobe[i].w), 0.0).rgb;
+// `map`: u scale, v offset, v scale in the atlas.
+vec3 prefiltered_radiance(vec3 direction, vec3 map) {
+    vec2 uv = uv_from_direction(direction);
+    return textureLod(lobe_atlas, vec2(lobe_border + uv.x * map.x, map.y + uv.y * map.z), 0.0).rgb;
 }
 
-// Between materials a resolved pixel may have any roughness: the two nearest maps, weighted.
-vec3 prefiltered_radiance(vec3 direction, float rough) {
-    vec2 uv = uv_from_direction(direction);
-    int upper = 0;
-    while (upper < lobe_count - 1 && lobe[upper].x < rough - 2e-3) ++upper;
-    int lower = upper > 0 && lobe[upper].x > rough + 6e-3 ? upper - 1 : upper;
-    vec3 value = lobe_at(upper, uv);
-    if (lower != upper)
-        value = mix(lobe_at(lower, uv), value, clamp((rough - lobe[lower].x) / (lobe[upper].x - lobe[lower].x), 0.0, 1.0));
-    return value;
+#if TEXTURED
+// A textured roughness may have any value: the nearest map.
+vec3 nearest_lobe(float rough) {
+    vec4 best = lobe[0];
+    for (int i = 1; i < lobe_count; ++i)
+        if (abs(lobe[i].x - rough) < abs(best.x - rough)) best = lobe[i];
+    return best.yzw;
 }
+#endif
 
 // Height-correlated Smith visibility times GGX, alpha widened by the light's size (Karis 2013) without losing energy.
 float ggx_reflection(float n_dot_h, float n_dot_l, float n_dot_v, float alpha, float alpha_light) {
@@ -97,7 +100,7 @@ float ggx_reflection(float n_dot_h, float n_dot_l, float n_dot_v, float alpha, f
     return a2 / (PI * d * d) * v;
 }
 
-struct Surface { vec3 normal; vec3 position; vec3 color; float metallic; vec3 emissive; float roughness; };
+struct Surface { vec3 normal; vec3 position; vec3 color; float metallic; vec3 emissive; float roughness; vec3 lobe; };
 
 vec3 shade(Surface s, vec3 view, vec3 reflected, vec3 step_x, vec3 step_y) {
     float n_dot_v = clamp(dot(s.normal, view), 1e-3, 1.0);
@@ -108,10 +111,14 @@ vec3 shade(Surface s, vec3 view, vec3 reflected, vec3 step_x, vec3 step_y) {
     vec3 compensation = 1.0 + f0 * (1.0 / max(ab.x + ab.y, 1e-3) - 1.0);
     vec3 reflectance = (f0 * ab.x + ab.y) * compensation;
 
-    // loops, because a software renderer runs both sides of an if but leaves a loop that no pixel enters
     vec3 mirrored = vec3(0.0);
+#if HAS_LOBES
+    mirrored = prefiltered_radiance(reflected, s.lobe);
+#endif
+#if HAS_MIRRORS
+    // a loop, because a software renderer runs both sides of an if but leaves a loop that no pixel enters
     for (int once = mirror ? 1 : 0; once > 0; --once) mirrored = mirror_radiance(reflected, step_x, step_y);
-    for (int once = mirror || lobe_count == 0 ? 0 : 1; once > 0; --once) mirrored = prefiltered_radiance(reflected, s.roughness);
+#endif
     vec3 glossy = reflectance * mirrored;
     vec3 e = sh_irradiance(s.normal);
 #if LIGHTS
@@ -153,22 +160,22 @@ void main() {
     s.position = direction * distance_from_camera;
     vec3 reflected = seen_direction(s.position, reflect(direction, s.normal));
     vec3 step_x = dFdx(reflected), step_y = dFdy(reflected);
-    radiance = vec4(0.0);
-    for (int once = coverage > 0.0 ? 1 : 0; once > 0; --once) {
 #if TEXTURED
-        vec4 color = vec4(0.0), emissive = vec4(0.0);
-        for (int i = 0; i < 4; ++i) {
-            float same = (samples[i].a == surface ? 1.0 : 0.0) / count;
-            color += same * texelFetch(color_metallic, first + ivec2(i & 1, i >> 1), 0);
-            emissive += same * texelFetch(emissive_roughness, first + ivec2(i & 1, i >> 1), 0);
-        }
-#else
-        vec4 color = texelFetch(surfaces, ivec2(0, int(surface)), 0), emissive = texelFetch(surfaces, ivec2(1, int(surface)), 0);
-#endif
-        s.color = color.rgb;
-        s.metallic = color.a;
-        s.emissive = emissive.rgb;
-        s.roughness = emissive.a;
-        radiance = vec4(sanitize(shade(s, -direction, reflected, step_x, step_y)) * coverage, coverage);
+    vec4 color = vec4(0.0), emissive = vec4(0.0);
+    for (int i = 0; i < 4; ++i) {
+        float same = (samples[i].a == surface ? 1.0 : 0.0) / count;
+        color += same * texelFetch(color_metallic, first + ivec2(i & 1, i >> 1), 0);
+        emissive += same * texelFetch(emissive_roughness, first + ivec2(i & 1, i >> 1), 0);
     }
+    s.lobe = nearest_lobe(emissive.a);
+#else
+    vec4 color = texelFetch(surfaces, ivec2(0, int(surface)), 0), emissive = texelFetch(surfaces, ivec2(1, int(surface)), 0);
+    s.lobe = texelFetch(surfaces, ivec2(2, int(surface)), 0).xyz;
+#endif
+    s.color = color.rgb;
+    s.metallic = color.a;
+    s.emissive = emissive.rgb;
+    s.roughness = emissive.a;
+    vec3 shaded = sanitize(shade(s, -direction, reflected, step_x, step_y));
+    radiance = coverage > 0.0 ? vec4(shaded * coverage, coverage) : vec4(0.0);
 }

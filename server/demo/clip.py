@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from server.demo.camera import LOOP_SECONDS, Camera, Planes
 
-VERSION = 1     # raise it when the picture changes: the files of older versions are then not used any more
+VERSION = 2     # raise it when the picture changes: the files of older versions are then not used any more
 
 
 def demo_clip(width: int, fps: int) -> Path:

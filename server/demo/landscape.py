@@ -36,8 +36,8 @@ class Post:
 
 # So far from the camera that no shadow ever passes under it, and from each other that none falls on another post.
 POSTS = (
-    Post(-2.7, -3.0, 0.09, 0.95, (0.55, 0.16, 0.10)),
-    Post(2.7, -3.0, 0.09, 0.95, (0.55, 0.16, 0.10)),
+    Post(-3.3, -3.2, 0.09, 0.95, (0.55, 0.16, 0.10)),
+    Post(3.3, -3.2, 0.09, 0.95, (0.55, 0.16, 0.10)),
     Post(-3.3, 1.2, 0.45, 0.60, (0.50, 0.47, 0.42)),
     Post(3.3, 1.2, 0.45, 0.60, (0.50, 0.47, 0.42)),
     Post(-6.5, -5.5, 0.25, 2.60, (0.62, 0.58, 0.50)),

@@ -25,6 +25,7 @@ from server.worker.render_loop import RenderLoop, warm_up
 logger = logging.getLogger(__name__)
 EXIT_FATAL = 3
 SEND_BUFFER_BYTES = 4 << 20
+SWITCH_INTERVAL_S = 0.0005  # the ingest and encode threads ask for the interpreter often and briefly: 5 ms each time adds up
 WARM_UP_SIZE = (256, 128)
 
 
@@ -61,6 +62,7 @@ def main() -> int:
     parser.add_argument("--fd", type=int, required=True)
     link = Link(parser.parse_args().fd)
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the server stops us
     start = link.first()
     try:

@@ -125,7 +125,8 @@ def _scene(path: Path | None, preset: str | None) -> tuple[Scene, Path | None]:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "scene"
-        raise UsageError(f"scene {path.name if path else 'of the command line'!r}: {where}: {first['msg']}, given {first['input']!r:.120}") from None
+        name = path.name if path else "of the command line"
+        raise UsageError(f"scene {name!r}: {where}: {first['msg']}, given {first['input']!r:.120}") from None
     return scene, path.parent if path else None
 
 

@@ -48,14 +48,28 @@ class RtspServer:
         if clip.suffix != ".h264":
             byte_stream = folder / f"{clip.stem}.h264"
             write_byte_stream(clip, byte_stream)
-        script = Path(__file__).with_name("rtsp_server.py")
-        self.process = Process(["/usr/bin/python3", script, str(self.port), byte_stream], folder / "rtsp.log",
-                               {"PYTHONPATH": ""})
-        wait_for("RTSP server", lambda: "listening" in self.process.output(), 10)
+        self.process = _gst_rtsp_server("play", self.port, byte_stream, folder)
 
     @property
     def url(self) -> str:
         return f"rtsp://127.0.0.1:{self.port}/live"
+
+
+class RtspRecorder:
+    """Writes the H.264 that is published to `url` into `file`."""
+
+    def __init__(self, folder: Path) -> None:
+        self.port = free_port()
+        self.url = f"rtsp://127.0.0.1:{self.port}/live"
+        self.file = folder / "recorded.h264"
+        self.process = _gst_rtsp_server("record", self.port, self.file, folder)
+
+
+def _gst_rtsp_server(mode: str, port: int, file: Path, folder: Path) -> Process:
+    script = Path(__file__).with_name("rtsp_server.py")
+    process = Process(["/usr/bin/python3", script, mode, str(port), file], folder / f"rtsp-{port}.log", {"PYTHONPATH": ""})
+    wait_for("RTSP server", lambda: "listening" in process.output(), 10)
+    return process
 
 
 class Publisher:

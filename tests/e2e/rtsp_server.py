@@ -1,6 +1,8 @@
-"""A real RTSP server (gst-rtsp-server) that plays an H.264 byte stream for ever. Runs under Debian's /usr/bin/python3.
+"""A real RTSP server (gst-rtsp-server) at rtsp://127.0.0.1:PORT/live. Runs under Debian's /usr/bin/python3.
 
-usage: rtsp_server.py PORT FILE.h264    prints one line when it listens; rtsp://127.0.0.1:PORT/live
+usage: rtsp_server.py play PORT FILE      plays an H.264 byte stream for ever
+       rtsp_server.py record PORT FILE    writes what is published to it
+Prints one line when it listens.
 """
 
 import signal
@@ -26,14 +28,19 @@ def give_presentation_times(factory, media):
 
 
 def main() -> int:
-    port, path = sys.argv[1], sys.argv[2]
+    mode, port, path = sys.argv[1:]
     Gst.init(None)
     factory = GstRtspServer.RTSPMediaFactory()
-    factory.set_launch(f"( multifilesrc location=\"{path}\" loop=true ! h264parse config-interval=-1 "
-                       "! rtph264pay name=pay0 pt=96 )")
+    if mode == "play":
+        factory.set_launch(f"( multifilesrc location=\"{path}\" loop=true ! h264parse config-interval=-1 "
+                           "! rtph264pay name=pay0 pt=96 )")
+        factory.connect("media-configure", give_presentation_times)
+    else:
+        factory.set_transport_mode(GstRtspServer.RTSPTransportMode.RECORD)
+        factory.set_launch(f"( rtph264depay name=depay0 ! h264parse config-interval=-1 "
+                           f"! video/x-h264,stream-format=byte-stream ! filesink buffer-mode=2 location=\"{path}\" )")
     factory.set_protocols(GstRtsp.RTSPLowerTrans.TCP)
     factory.set_shared(True)
-    factory.connect("media-configure", give_presentation_times)
     server = GstRtspServer.RTSPServer()
     server.set_address("127.0.0.1")
     server.set_service(port)

@@ -29,20 +29,24 @@ def playing(service: Service, nginx_rtmp: NginxRtmp, publisher: Callable[..., Pu
     return service
 
 
-def test_a_viewer_that_never_reads_holds_nobody_up(playing: Service, viewer: Callable[[str], HeadlessViewer]) -> None:
+def test_viewers_that_never_read_hold_nobody_up(playing: Service, viewer: Callable[[str], HeadlessViewer]) -> None:
     lazy, keen = viewer(playing.url), viewer(playing.url)
     lazy.wait_frames(5)
     keen.wait_frames(5)
-    memory = resident_bytes(playing.process.pid)
+    alone = rate(keen, 45)
     lazy.process.signal(signal.SIGSTOP)
-    with connect(playing.url.replace("http", "ws") + "/api/streams/live/lights", proxy=None, max_queue=1) as silent:
-        before = keen.progress()
-        after = keen.wait_frames(90)
-        assert (after["frames"] - before["frames"]) / (after["time"] - before["time"]) > 10     # of 15
-        silent.close()
-    assert playing.stats()["frames_encoded"] > 0
-    assert resident_bytes(playing.process.pid) < memory + (64 << 20), "frames pile up in the server"
+    lights = playing.url.replace("http", "ws") + "/api/streams/live/lights"
+    with connect(lights, proxy=None, max_queue=1, close_timeout=0.5):
+        assert rate(keen, 60) > 0.6 * alone
+    assert playing.request("GET", "/readyz")["status"] == "ready"
     lazy.process.signal(signal.SIGCONT)
+
+
+def rate(viewer: HeadlessViewer, frames: int) -> float:
+    """Frames a second over the next so many."""
+    before = viewer.progress()
+    after = viewer.wait_frames(frames, seconds=60)
+    return float((after["frames"] - before["frames"]) / (after["time"] - before["time"]))
 
 
 def test_a_killed_worker_is_replaced_and_its_viewer_stays(playing: Service,
@@ -107,8 +111,3 @@ def test_a_port_in_use_is_status_2_and_one_line(service: Service) -> None:
 def worker_pids(service: Service) -> list[int]:
     return [pid for pid in service.process.descendants()
             if b"server.worker" in Path(f"/proc/{pid}/cmdline").read_bytes()]
-
-
-def resident_bytes(pid: int) -> int:
-    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE")

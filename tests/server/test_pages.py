@@ -45,9 +45,30 @@ def test_nothing_else_is_served(client: httpx.Client, name: str) -> None:
     assert_problem(client.get(f"/web/{name}"), 404)
 
 
-def test_pages_of_unknown_streams(client: httpx.Client) -> None:
-    assert_problem(client.get("/view/none"), 404, "no stream 'none'")
-    assert_problem(client.get("/control/none"), 404, "no stream 'none'")
+@pytest.mark.parametrize("page", ["view", "control"])
+@pytest.mark.parametrize("accept", ["text/html,application/xhtml+xml,*/*;q=0.8", "*/*", "text/*;q=0.1, application/json", ""])
+def test_a_person_with_a_mistyped_stream_gets_the_page(client: httpx.Client, page: str, accept: str) -> None:
+    response = client.get(f"/{page}/none", headers={"Accept": accept})
+    assert response.status_code == 404
+    assert response.headers["content-type"] == "text/html; charset=utf-8"
+    assert "default-src 'self'" in response.headers["content-security-policy"]
+    assert response.headers["vary"] == "Accept"
+    assert response.text == client.get(f"/{page}/live").text
+
+
+@pytest.mark.parametrize("page", ["view", "control"])
+@pytest.mark.parametrize("accept", ["application/json", "application/problem+json, text/plain", "text/html;q=0, */*"])
+def test_a_program_with_a_mistyped_stream_gets_a_problem(client: httpx.Client, page: str, accept: str) -> None:
+    response = client.get(f"/{page}/none", headers={"Accept": accept})
+    assert_problem(response, 404, "no stream 'none'")
+    assert response.headers["vary"] == "Accept"
+
+
+def test_no_page_has_a_script_or_style_of_its_own(client: httpx.Client) -> None:
+    """The content security policy would keep it from working."""
+    for path in ("/", "/view/live", "/control/live"):
+        text = client.get(path).text
+        assert not re.findall(r"<script(?![^>]*\bsrc=)|<style|\bstyle=|\bon\w+=", text), path
 
 
 def test_reference_covers_the_contract(client: httpx.Client) -> None:

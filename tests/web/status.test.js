@@ -47,6 +47,5 @@ test('a connection without pictures is not called live', () => {
 
 test('messages of the event socket', () => {
   assert.deepEqual(sourceFromMessage({ type: 'source', state: 'lost', detail: 'gone', flags: [] }), { state: 'lost', detail: 'gone' });
-  assert.deepEqual(sourceFromMessage({ type: 'snapshot', scene: {}, stream: { state: 'live' } }), { state: 'live', detail: null });
   assert.equal(sourceFromMessage({ type: 'viewers', count: 2 }), null);
 });
