@@ -48,6 +48,16 @@ class Touched:
     tiles: TileMask
 
 
+@dataclass(frozen=True)
+class _Plan:
+    """Touched tiles in atlas order, and per view (the last entry: no view) the instances to draw with each program."""
+
+    tiles: NDArray[np.intp]
+    batches: list[list[tuple[int, int, NDArray[np.int32]]]]
+    masks: list[TileMask]
+    sizes: tuple[int, int]
+
+
 class CompositeStage:
     """Owns the composite program and its output atlas for one source geometry."""
 
@@ -58,6 +68,7 @@ class CompositeStage:
         self._fragments = TILE // 2 if self._is_yuv else TILE
         self._programs: dict[Variant, moderngl.Program] = {}
         self._vertex_arrays: dict[Variant, moderngl.VertexArray] = {}
+        self._last_plan: _Plan | None = None
         self._rows = 0
         self._textures: list[moderngl.Texture] = []
         self._framebuffer: moderngl.Framebuffer | None = None
@@ -66,28 +77,31 @@ class CompositeStage:
     def run(self, views: list[View], draw_view: DrawView, maps: list[Touched], ambient: list[Touched],
             ground: GroundLight | None, shadows: ShadowStage) -> NDArray[np.intp]:
         """Draw every touched tile into the atlas. Returns the (n, 2) row and column of each, in atlas order."""
-        masks = [view.tiles for view in views] + [touched.tiles for touched in (*maps, *ambient)]
-        tiles = np.argwhere(np.logical_or.reduce(masks)) if masks else np.zeros((0, 2), dtype=np.intp)
-        if not len(tiles):
-            return tiles
-        self._reserve(len(tiles))
         maps = sorted(maps, key=lambda touched: touched.shadow.light)[:MAX_SHADOWS]
-        self._frame_uniforms = self._constants(maps, ambient[:MAX_SHADOWS], ground)
+        ambient = ambient[:MAX_SHADOWS]
+        plan = self._plan(views, maps, ambient)
+        if not len(plan.tiles):
+            return plan.tiles
+        self._reserve(len(plan.tiles))
+        self._frame_uniforms = self._constants(maps, ambient, ground)
         self._prepared: set[Variant] = set()
         shadows.atlas.use(FIRST_UNIT + 1)
         shadows.ambient_atlas.use(FIRST_UNIT + 2)
-        map_lists, ambient_lists = _reached(tiles, maps, MAPS[-1]), _reached(tiles, ambient[:MAX_SHADOWS], AMBIENTS[-1])
-        instances = np.concatenate([tiles[:, ::-1], np.arange(len(tiles))[:, None], map_lists, ambient_lists],
-                                   axis=1).astype("i4")
-        kinds = _slots(map_lists, MAPS) * 16 + _slots(ambient_lists, AMBIENTS)
-        done = np.zeros(len(tiles), dtype=bool)
-        for view in views:
-            in_view = view.tiles[tiles[:, 0], tiles[:, 1]]
-            if in_view.any():
-                self._draw(instances[in_view], kinds[in_view], (view, *draw_view(view)))
-                done |= in_view
-        self._draw(instances[~done], kinds[~done], None)
-        return tiles
+        for view, batches in zip([*views, None], plan.batches, strict=True):
+            if batches:
+                self._draw(batches, None if view is None else (view, *draw_view(view)))
+        return plan.tiles
+
+    def _plan(self, views: list[View], maps: list[Touched], ambient: list[Touched]) -> _Plan:
+        """Which tiles are drawn with what; kept for as long as all masks are the same arrays."""
+        masks = [view.tiles for view in views] + [touched.tiles for touched in (*maps, *ambient)]
+        sizes = (len(views), len(maps))
+        kept = self._last_plan
+        if kept is not None and kept.sizes == sizes and len(kept.masks) == len(masks) and all(
+                a is b for a, b in zip(kept.masks, masks, strict=True)):
+            return kept
+        self._last_plan = _make_plan(views, maps, ambient, masks, sizes)
+        return self._last_plan
 
     def _reserve(self, count: int) -> None:
         rows = -(-count // ATLAS_COLUMNS)
@@ -145,23 +159,22 @@ class CompositeStage:
         return values | {"ground_y": ground.y, "ground_irradiance": tuple(ground.total), "light_on_ground": lights,
                          "map_rect": rects[0], "map_cell": rects[1], "ambient_rect": rects[2], "ambient_cell": rects[3]}
 
-    def _draw(self, instances: NDArray[np.int32], kinds: NDArray[np.intp], drawn: Drawn | None) -> None:
-        for kind in np.unique(kinds):
-            variant = (drawn is not None, int(kind) // 16, int(kind) % 16)
+    def _draw(self, batches: list[tuple[int, int, NDArray[np.int32]]], drawn: Drawn | None) -> None:
+        for maps, ambients, instances in batches:
+            variant = (drawn is not None, maps, ambients)
             program, vertex_array = self._variant(variant)
+            self._panorama.bind(program)
             if variant not in self._prepared:
                 self._prepared.add(variant)
                 set_uniforms(program, self._frame_uniforms)
-            self._panorama.bind(program)
             if drawn is None:
                 set_uniforms(program, {"view_axis": -1})
             else:
                 _bind_view(program, *drawn)
-            chosen = instances[kinds == kind]
-            self._instances.write(np.ascontiguousarray(chosen))
+            self._instances.write(instances)
             assert self._framebuffer is not None
             self._framebuffer.use()
-            vertex_array.render(moderngl.TRIANGLE_STRIP, vertices=4, instances=len(chosen))
+            vertex_array.render(moderngl.TRIANGLE_STRIP, vertices=4, instances=len(instances))
 
     def _read(self, count: int, attachment: int) -> NDArray[np.generic]:
         """(count, fragments, fragments, 4) tiles of the atlas."""
@@ -210,6 +223,19 @@ def _bind_view(program: moderngl.Program, view: View, texture: moderngl.Texture,
         "view_axis": view.cube_axis, "view_from_world": view.rotation.T,
         "view_bounds": (left, bottom, 1 / (right - left), 1 / (top - bottom)),
         "view_scale": (size[0] / texture.width, size[1] / texture.height)})
+
+
+def _make_plan(views: list[View], maps: list[Touched], ambient: list[Touched], masks: list[TileMask],
+               sizes: tuple[int, int]) -> _Plan:
+    tiles = np.argwhere(np.logical_or.reduce(masks)) if masks else np.zeros((0, 2), dtype=np.intp)
+    map_lists, ambient_lists = _reached(tiles, maps, MAPS[-1]), _reached(tiles, ambient, AMBIENTS[-1])
+    instances = np.concatenate([tiles[:, ::-1], np.arange(len(tiles))[:, None], map_lists, ambient_lists], axis=1).astype("i4")
+    kinds = _slots(map_lists, MAPS) * 16 + _slots(ambient_lists, AMBIENTS)
+    in_views = [view.tiles[tiles[:, 0], tiles[:, 1]] for view in views]
+    no_view = ~np.logical_or.reduce(in_views) if in_views else np.ones(len(tiles), dtype=bool)
+    batches = [[(int(kind) // 16, int(kind) % 16, np.ascontiguousarray(instances[chosen & (kinds == kind)]))
+                for kind in np.unique(kinds[chosen])] for chosen in (*in_views, no_view)]
+    return _Plan(tiles, batches, masks, sizes)
 
 
 def _reached(tiles: NDArray[np.intp], touched: list[Touched], most: int) -> NDArray[np.intp]:

@@ -7,6 +7,7 @@ in one with 2 x 2 samples 4 ms.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -124,9 +125,13 @@ class _ViewTarget:
         self.framebuffer = gl.framebuffer(self.samples, self._depth)
         self.texture = context.texture(size, 4, "f2")
         self.shaded = gl.framebuffer([self.texture])
+        self.surfaces = context.texture((3, MAX_SURFACES), 4, "f4", linear=False)
+        self.view: View | None = None           # whose surfaces are in the samples
+        self.roughnesses: list[float] = []      # of those surfaces
+        self.lobe_cells: dict[float, tuple[float, float, float]] = {}
 
     def release(self) -> None:
-        release_all(self.framebuffer, self.shaded, self.texture, *self.samples, self._depth)
+        release_all(self.framebuffer, self.shaded, self.texture, self.surfaces, *self.samples, self._depth)
 
 
 class ObjectStage:
@@ -142,8 +147,7 @@ class ObjectStage:
         table = dfg_table()
         self._dfg = context.texture((table.shape[1], table.shape[0]), 2, "f4")
         self._dfg.write(table.tobytes())
-        self._surfaces = context.texture((3, MAX_SURFACES), 4, "f4", linear=False)
-        self._targets: dict[tuple[int, int, bool], _ViewTarget] = {}
+        self._targets: dict[tuple[int, int, bool], list[_ViewTarget]] = {}
         self._lobe_atlas = context.texture((1, 1), 4, "f4")
         self._uniforms: dict[str, object] = {}
         self._slots = 0
@@ -208,16 +212,34 @@ class ObjectStage:
         """Draw the view's members. Returns the texture and the part of it, in pixels, that the view fills."""
         members = [objects[index] for index in view.members]
         textured = any(item.mesh.is_textured(item.surface) for item in members)
-        key = (-(-view.size[0] // SIZE_STEP) * SIZE_STEP, -(-view.size[1] // SIZE_STEP) * SIZE_STEP, textured)
-        target = self._targets.get(key)
-        if target is None:
-            target = self._targets[key] = _ViewTarget(self._context, key[:2], textured)
-        roughnesses = self._draw_surfaces(view, members, target, textured)
+        target = self._target(view, textured)
+        if target.view is not view or target.lobe_cells != self._lobe_cells:
+            target.roughnesses = self._draw_surfaces(view, members, target, textured)
+            target.view, target.lobe_cells = view, self._lobe_cells
         kind = Shading(textured, self._slots, self._fourth_band,
-                       lobes=bool(self._lobe_cells) and (textured or max(roughnesses) >= MIRROR_BELOW),
-                       mirrors=textured or min(roughnesses) < MIRROR_BELOW)
+                       lobes=bool(self._lobe_cells) and (textured or max(target.roughnesses) >= MIRROR_BELOW),
+                       mirrors=textured or min(target.roughnesses) < MIRROR_BELOW)
         self._shade(view, target, kind)
         return target.texture, view.size
+
+    def keep(self, views: list[View]) -> None:
+        """Surfaces of these views stay as drawn until the views are others; the targets of all other views are free."""
+        kept = {id(view) for view in views}
+        for target in itertools.chain(*self._targets.values()):
+            if id(target.view) not in kept:
+                target.view = None
+
+    def _target(self, view: View, textured: bool) -> _ViewTarget:
+        key = (-(-view.size[0] // SIZE_STEP) * SIZE_STEP, -(-view.size[1] // SIZE_STEP) * SIZE_STEP, textured)
+        targets = self._targets.setdefault(key, [])
+        for target in targets:
+            if target.view is view:
+                return target
+        free = next((target for target in targets if target.view is None), None)
+        if free is None:
+            free = _ViewTarget(self._context, key[:2], textured)
+            targets.append(free)
+        return free
 
     def _draw_surfaces(self, view: View, members: list[PlacedMesh], target: _ViewTarget, textured: bool) -> list[float]:
         """Returns the roughness of every surface."""
@@ -235,7 +257,7 @@ class ObjectStage:
             self._draw_object(item, program, textured, table)
         gl.disable_direct(GL_CLIP_DISTANCE0)
         gl.enable_only(moderngl.NOTHING)
-        self._surfaces.write(np.array(table[:MAX_SURFACES], dtype="f4"), viewport=(0, 0, 3, min(len(table), MAX_SURFACES)))
+        target.surfaces.write(np.array(table[:MAX_SURFACES], dtype="f4"), viewport=(0, 0, 3, min(len(table), MAX_SURFACES)))
         return [row[7] for row in table[1:]] or [1.0]
 
     def _draw_object(self, placed: PlacedMesh, program: moderngl.Program, textured: bool,
@@ -279,7 +301,7 @@ class ObjectStage:
         target.shaded.viewport = (0, 0, *view.size)
         self._panorama.bind(program)
         textures = {"radiance_map": self._radiance_texture, "dfg_table": self._dfg, "lobe_atlas": self._lobe_atlas,
-                    "surfaces": self._surfaces,
+                    "surfaces": target.surfaces,
                     **dict(zip(("geometry", "color_metallic", "emissive_roughness"), target.samples, strict=False))}
         for unit, (name, texture) in enumerate(textures.items(), start=FIRST_UNIT):
             texture.use(unit)
@@ -290,6 +312,6 @@ class ObjectStage:
         triangle.render(moderngl.TRIANGLES, 3)
 
     def release(self) -> None:
-        release_all(*self._targets.values(), self._lobe_atlas, self._dfg, self._surfaces, *self.surface_programs.values())
+        release_all(*itertools.chain(*self._targets.values()), self._lobe_atlas, self._dfg, *self.surface_programs.values())
         for program, triangle in self._shading.values():
             release_all(triangle, program)

@@ -122,6 +122,7 @@ class Pipeline:
         with timings.stage("place"):
             placement = self._placement(scene, visible)
         with timings.stage("glossy"):
+            self._objects.keep(placement.views)
             self._objects.set_illumination(self._illumination(scene, light, list(placement.objects.values())))
         with timings.stage("shadows"):
             ground = self._ground_light(scene, light)
@@ -193,14 +194,13 @@ class Pipeline:
               ground: GroundLight) -> tuple[list[Touched], list[Touched]]:
         casters = {item.id: placed[item.id] for item in scene.objects if item.id in placed and item.casts_shadow}
         gate = MIN_GROUND_SHARE * float(ground.total @ WEIGHTS)
-        self._shadows.begin()
-        self._shadows.forget_ambient(set(casters))
+        self._shadows.forget(set(casters), {item.id for item in light.detection.lights})
         maps: list[ShadowMap | None] = []
         ambient: list[ShadowMap | None] = []
         for key, caster in casters.items():
             for index, item in enumerate(light.detection.lights):
                 if ground.lights[index] @ WEIGHTS > gate:
-                    maps.append(self._shadows.light_shadow(caster, item, index, ground.y))
+                    maps.append(self._shadows.light_shadow(key, caster, item, index, ground.y))
             ambient.append(self._shadows.ambient_shadow(key, caster, ground.y))
         self._shadows.weigh_ambient([shadow for shadow in ambient if shadow is not None], light.coefficients[:9])
 

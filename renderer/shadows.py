@@ -7,7 +7,7 @@ objects hide of the residual depends on geometry alone, so it is kept until an o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import moderngl
@@ -21,13 +21,15 @@ from renderer.objects import PlacedMesh
 
 Array = NDArray[np.float64]
 CELL = 128                 # texels a side of one light's shadow map
-AMBIENT_CELL = 128
+AMBIENT_CELL = 64
 GRID = 8                   # cells a side of either atlas
 MAX_SAMPLES = 12
 AMBIENT_SAMPLES = 96
 FIRST_UNIT = 8            # texture units after the panorama's
 MIN_ELEVATION = np.sin(np.radians(3.0))   # of a sample; flatter ones would cast without end
 MAX_REACH_M = 40.0
+STALE_SHARE = 0.25         # of a light's angular radius: how far it may move before its shadows are drawn anew
+STALE_MIN = np.radians(0.05)
 _PADDING = 0.02     # of a rectangle, so that no shadow touches its edge
 
 
@@ -85,6 +87,14 @@ def _hemisphere_directions(count: int) -> Array:
     return np.stack([radius * np.cos(phi), np.sqrt(1 - radius**2), radius * np.sin(phi)], axis=1)
 
 
+@dataclass(frozen=True)
+class _KeptShadow:
+    cell: int
+    place: bytes
+    light: Light
+    shadow: ShadowMap | None
+
+
 class ShadowStage:
     """Owns the shadow programs and both atlases."""
 
@@ -105,23 +115,38 @@ class ShadowStage:
         self._ambient_target = gl.framebuffer(self.transfer, self._depth[1])
         self._proxies: dict[int, tuple[PlacedMesh, Any, list[Any]]] = {}
         self._ambient: dict[str, tuple[bytes, ShadowMap]] = {}
+        self._lights: dict[tuple[str, int], _KeptShadow] = {}
         upper = _hemisphere_directions(AMBIENT_SAMPLES)
         set_uniforms(self._ambient_program, {"sample_direction": np.pad(upper, ((0, 128 - AMBIENT_SAMPLES), (0, 0))),
                                              "sample_count": AMBIENT_SAMPLES, "weight": np.pi / AMBIENT_SAMPLES})
 
-    def begin(self) -> None:
-        """Bind state for a frame's light shadows, and forget the last frame's."""
-        self._used = 0
+    def light_shadow(self, key: str, placed: PlacedMesh, light: Light, light_index: int, ground_y: float) -> ShadowMap | None:
+        """One object's shadow from one light, drawn unless the last one still holds. None when there is nothing to see.
 
-    def light_shadow(self, placed: PlacedMesh, light: Light, light_index: int, ground_y: float) -> ShadowMap | None:
-        """Draw one object's shadow from one light. None when there is nothing to see or no cell left."""
+        It holds while object and ground are as they were and the light has moved by less than a quarter of its radius:
+        the shadow's edge then errs by less than an eighth of its penumbra.
+        """
+        place = _place_state(placed, ground_y)
+        kept = self._lights.get((key, light.id))
+        if kept is not None and kept.place == place and _hardly_moved(kept.light, light):
+            return replace(kept.shadow, light=light_index) if kept.shadow is not None else None
+        cell = kept.cell if kept is not None else self._free_cell()
+        if cell is None:
+            return None
+        shadow = self._draw_light_shadow(placed, light, ShadowMap(cell, (0, 0, 0, 0), light_index), ground_y)
+        self._lights[(key, light.id)] = _KeptShadow(cell, place, light, shadow)
+        return shadow
+
+    def _free_cell(self) -> int | None:
+        used = {kept.cell for kept in self._lights.values()}
+        return next((cell for cell in range(GRID * GRID) if cell not in used), None)
+
+    def _draw_light_shadow(self, placed: PlacedMesh, light: Light, shadow: ShadowMap, ground_y: float) -> ShadowMap | None:
         points = world_points(placed)
         height = float(points[:, 1].max()) - ground_y
-        if height <= 0.0 or self._used >= GRID * GRID:
-            return None
         rim = np.concatenate([[light.direction], disc_directions(light.direction, light.angular_radius, 12)])
         rim = rim[rim[:, 1] > MIN_ELEVATION]
-        if not len(rim):
+        if height <= 0.0 or not len(rim):
             return None
         rect = _ground_rect(points, rim, ground_y)
         texels = self._texels(rect, ground_y)
@@ -133,8 +158,7 @@ class ShadowStage:
         samples = samples[samples[:, 1] > MIN_ELEVATION]
         if not len(samples):
             return None
-        shadow = ShadowMap(self._used, rect, light_index, texels)
-        self._used += 1
+        shadow = replace(shadow, rect=rect, texels=texels)
         set_uniforms(self._light_program, {
             "sample_direction": np.pad(samples, ((0, 128 - len(samples)), (0, 0))), "sample_count": len(samples),
             "weight": 1.0 / count})
@@ -143,7 +167,7 @@ class ShadowStage:
 
     def ambient_shadow(self, key: str, placed: PlacedMesh, ground_y: float) -> ShadowMap | None:
         """What one object hides of the residual; drawn only when `key`'s geometry has changed."""
-        state = placed.world_from_model.tobytes() + np.float64(ground_y).tobytes() + id(placed.mesh).to_bytes(8, "little")
+        state = _place_state(placed, ground_y)
         kept = self._ambient.get(key)
         if kept is not None and kept[0] == state:
             return kept[1]
@@ -181,8 +205,9 @@ class ShadowStage:
             set_uniforms(self._missing_program, {"cell": viewport})
             self._missing_triangle.render(moderngl.TRIANGLES, 3)
 
-    def forget_ambient(self, keys: set[str]) -> None:
-        """Free the cells of objects that are gone: all but `keys`."""
+    def forget(self, keys: set[str], lights: set[int]) -> None:
+        """Free the cells of objects and lights that are gone: all but those of `keys` and `lights` (ids)."""
+        self._lights = {name: kept for name, kept in self._lights.items() if name[0] in keys and name[1] in lights}
         for key in set(self._ambient) - keys:
             del self._ambient[key]
 
@@ -222,6 +247,16 @@ class ShadowStage:
         release_all(self._missing_target, self._missing_triangle, self._missing_program, self.ambient_atlas)
         release_all(self._target, self._ambient_target, self.atlas, *self.transfer, *self._depth, self._light_program,
                      self._ambient_program)
+
+
+def _place_state(placed: PlacedMesh, ground_y: float) -> bytes:
+    return placed.world_from_model.tobytes() + np.float64(ground_y).tobytes() + id(placed.mesh).to_bytes(8, "little")
+
+
+def _hardly_moved(before: Light, now: Light) -> bool:
+    moved = float(np.arccos(np.clip(before.direction @ now.direction, -1, 1)))
+    grown = abs(before.angular_radius - now.angular_radius)
+    return moved <= max(STALE_SHARE * now.angular_radius, STALE_MIN) and grown <= 0.2 * now.angular_radius
 
 
 def world_points(placed: PlacedMesh) -> Array:
