@@ -87,9 +87,10 @@ class CompositeStage:
         self._prepared: set[Variant] = set()
         shadows.atlas.use(FIRST_UNIT + 1)
         shadows.ambient_atlas.use(FIRST_UNIT + 2)
-        for view, batches in zip([*views, None], plan.batches, strict=True):
-            if batches:
-                self._draw(batches, None if view is None else (view, *draw_view(view)))
+        # all views first: reading a texture that has just been drawn makes a software renderer wait for it
+        drawn = [(view, *draw_view(view)) if batches else None for view, batches in zip(views, plan.batches, strict=False)]
+        for view, batches in zip([*drawn, None], plan.batches, strict=True):
+            self._draw(batches, view)
         return plan.tiles
 
     def _plan(self, views: list[View], maps: list[Touched], ambient: list[Touched]) -> _Plan:

@@ -107,7 +107,9 @@ def label_components(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int32], int]:
         if present.size:
             pairs.append((present, np.full_like(present, present[0])))
     a, b = (np.concatenate(side) for side in zip(*pairs, strict=True))
-    both = (a > 0) & (b > 0)
+    both = (a > 0) & (b > 0) & (a != b)
+    if not both.any():
+        return labels, count
     graph = sparse.coo_array((np.ones(both.sum()), (a[both] - 1, b[both] - 1)), shape=(count, count))
     merged_count, merged = sparse.csgraph.connected_components(graph, directed=False)
     table = np.concatenate([[0], merged + 1]).astype(np.int32)

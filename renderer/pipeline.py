@@ -96,6 +96,8 @@ class Pipeline:
         self._composite = CompositeStage(context, self._panorama)
         self._meshes = MeshLibrary(lambda mesh: GpuMesh(context, self._objects.surface_programs, mesh), assets, mesh_root)
         self._tracker = LightTracker()
+        self._last_light: FrameLight | None = None
+        self._lit_by: tuple[FrameLight, Placement] | None = None
         self._shadow_tiles: dict[tuple[ShadowMap, float], TileMask] = {}
         self._last_placement: tuple[Scene, dict[str, float], Placement] | None = None
 
@@ -107,8 +109,11 @@ class Pipeline:
             self._panorama.use()
         return self._light(timings), timings
 
-    def render(self, frame: Frame, scene: Scene) -> Rendered:
-        """Composite the scene into the frame. The frame's own arrays stay as they are."""
+    def render(self, frame: Frame, scene: Scene, *, reuse_light: bool = False) -> Rendered:
+        """Composite the scene into the frame. The frame's own arrays stay as they are.
+
+        `reuse_light` takes the light of the last frame for this one's: the first thing to give up under load.
+        """
         self._context.assert_own_thread()
         check_size(frame)
         timings = Timings()
@@ -116,14 +121,16 @@ class Pipeline:
         with timings.stage("upload"):
             self._panorama.write(frame, only_packed=not visible)
             self._panorama.use()
-        light = self._light(timings)
+        light = self._last_light if reuse_light and self._last_light is not None else self._light(timings)
         if not visible:
             return Rendered(frame, light, 0.0, timings, {})
         with timings.stage("place"):
             placement = self._placement(scene, visible)
         with timings.stage("glossy"):
             self._objects.keep(placement.views)
-            self._objects.set_illumination(self._illumination(scene, light, list(placement.objects.values())))
+            if self._lit_by is None or self._lit_by[0] is not light or self._lit_by[1] is not placement:
+                self._objects.set_illumination(self._illumination(scene, light, list(placement.objects.values())))
+                self._lit_by = (light, placement)
         with timings.stage("shadows"):
             ground = self._ground_light(scene, light)
             maps, ambient = self._cast(scene, placement.objects, light, ground) if ground else ([], [])
@@ -141,7 +148,8 @@ class Pipeline:
             detection = detect(radiance_map)
             detection = Detection(self._tracker.update(detection.lights), detection.residual, detection.threshold)
         with timings.stage("irradiance"):
-            return FrameLight(detection, project(detection.residual))
+            self._last_light = FrameLight(detection, project(detection.residual))
+        return self._last_light
 
     def _placement(self, scene: Scene, visible: list[SceneObject]) -> Placement:
         """Where the scene's objects stand; kept until the scene or a model's file changes."""
@@ -242,6 +250,7 @@ class Pipeline:
     def reset(self) -> None:
         """Forget the lights of earlier frames."""
         self._tracker = LightTracker()
+        self._last_light = None
 
     def release(self) -> None:
         self._context.rest()

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 CELL = 128                 # texels a side of one light's shadow map
 AMBIENT_CELL = 64
 GRID = 8                   # cells a side of either atlas
-MAX_SAMPLES = 12
+MAX_SAMPLES = 10
 AMBIENT_SAMPLES = 96
 FIRST_UNIT = 8            # texture units after the panorama's
 MIN_ELEVATION = np.sin(np.radians(3.0))   # of a sample; flatter ones would cast without end
@@ -178,7 +178,7 @@ class ShadowStage:
             self._ambient.pop(key, None)
             return None
         low, high = points.min(axis=0), points.max(axis=0)
-        reach = 1.1 * max(high[1] - ground_y, 0.3 * float(np.linalg.norm(high - low)))
+        reach = 0.9 * max(high[1] - ground_y, 0.3 * float(np.linalg.norm(high - low)))
         shadow = ShadowMap(cell, (float(low[0] - reach), float(low[2] - reach), float(high[0] + reach),
                                   float(high[2] + reach)), -1)
         self._ambient[key] = (state, shadow)
@@ -190,7 +190,7 @@ class ShadowStage:
         uv = uv_from_direction(ShadowMap(0, rect, 0).outline(ground_y))
         across = (uv[:, 0] - uv[0, 0] + 0.5) % 1.0
         pixels = max(np.ptp(across) * self._frame_size[0], np.ptp(uv[:, 1]) * self._frame_size[1])
-        return int(np.clip(np.ceil(1.2 * pixels / 16) * 16, 48, CELL))
+        return int(np.clip(np.ceil(pixels / 16) * 16, 48, CELL))
 
     def weigh_ambient(self, shadows: list[ShadowMap], residual: Array) -> None:
         """Turn the maps' transfer vectors into missing irradiance, by the residual's (9, 3) coefficients of this frame."""

@@ -20,7 +20,6 @@ vec3 radiance_from_linear(vec3 rgb) { return rgb * tone_gain(dot(rgb, LUMINANCE_
 
 vec3 linear_from_radiance(vec3 radiance) {
     float position = sqrt(clamp(dot(radiance, LUMINANCE_WEIGHTS) / PEAK_GAIN, 0.0, 1.0));
-    float size = float(textureSize(inverse_gain_table, 0).x);
-    vec2 uv = vec2((position * (size - 1.0) + 0.5) / size, 0.5);
-    return radiance * textureLod(inverse_gain_table, uv, 0.0).r;
+    int last = textureSize(inverse_gain_table, 0).x - 1;    // fine enough to need no interpolation
+    return radiance * texelFetch(inverse_gain_table, ivec2(int(position * float(last) + 0.5), 0), 0).r;
 }

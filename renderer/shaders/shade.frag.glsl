@@ -136,37 +136,17 @@ vec3 shade(Surface s, vec3 view, vec3 reflected, vec3 step_x, vec3 step_y) {
     return s.color * (1.0 - s.metallic) * (1.0 - reflectance) * e / PI + glossy + s.emissive;
 }
 
-void main() {
-    ivec2 first = ivec2(gl_FragCoord.xy) * 2;
-    vec4 samples[4];
-    for (int i = 0; i < 4; ++i) samples[i] = texelFetch(geometry, first + ivec2(i & 1, i >> 1), 0);
-    // the pixel is shaded as the surface most in front of it; the others only count as covered
-    float surface = max(max(samples[0].a, samples[1].a), max(samples[2].a, samples[3].a));
-    vec3 sum = vec3(0.0);
-    float coverage = 0.0, count = 0.0;
-    for (int i = 0; i < 4; ++i) {
-        float same = samples[i].a == surface ? 1.0 : 0.0;
-        sum += same * samples[i].rgb;
-        count += same;
-        coverage += samples[i].a > 0.0 ? 0.25 : 0.0;
-    }
-    vec3 direction = normalize(world_from_view * vec3(view_bounds.xy + gl_FragCoord.xy / view_size * view_bounds.zw, 1.0));
-    float distance_from_camera = length(sum) / count;
+// The surface under one sample, or under the mean of samples that agree.
+Surface surface_at(vec3 normal_times_distance, float surface, ivec2 sample_pixel, vec3 direction) {
     Surface s;
-    s.normal = sum / max(distance_from_camera * count, 1e-12) + vec3(0.0, 1e-12, 0.0);
+    float distance_from_camera = length(normal_times_distance);
+    s.normal = normal_times_distance / max(distance_from_camera, 1e-12) + vec3(0.0, 1e-12, 0.0);
     float facing = dot(s.normal, direction);
     if (facing > 0.0) s.normal -= direction * (facing + 1e-3); // an interpolated normal may look away
     s.normal = normalize(s.normal);
     s.position = direction * distance_from_camera;
-    vec3 reflected = seen_direction(s.position, reflect(direction, s.normal));
-    vec3 step_x = dFdx(reflected), step_y = dFdy(reflected);
 #if TEXTURED
-    vec4 color = vec4(0.0), emissive = vec4(0.0);
-    for (int i = 0; i < 4; ++i) {
-        float same = (samples[i].a == surface ? 1.0 : 0.0) / count;
-        color += same * texelFetch(color_metallic, first + ivec2(i & 1, i >> 1), 0);
-        emissive += same * texelFetch(emissive_roughness, first + ivec2(i & 1, i >> 1), 0);
-    }
+    vec4 color = texelFetch(color_metallic, sample_pixel, 0), emissive = texelFetch(emissive_roughness, sample_pixel, 0);
     s.lobe = nearest_lobe(emissive.a);
 #else
     vec4 color = texelFetch(surfaces, ivec2(0, int(surface)), 0), emissive = texelFetch(surfaces, ivec2(1, int(surface)), 0);
@@ -176,6 +156,37 @@ void main() {
     s.metallic = color.a;
     s.emissive = emissive.rgb;
     s.roughness = emissive.a;
-    vec3 shaded = sanitize(shade(s, -direction, reflected, step_x, step_y));
-    radiance = coverage > 0.0 ? vec4(shaded * coverage, coverage) : vec4(0.0);
+    return s;
+}
+
+void main() {
+    ivec2 first = ivec2(gl_FragCoord.xy) * 2;
+    vec4 samples[4];
+    vec4 sum = vec4(0.0);
+    float coverage = 0.0;
+    for (int i = 0; i < 4; ++i) {
+        samples[i] = texelFetch(geometry, first + ivec2(i & 1, i >> 1), 0);
+        sum += samples[i];
+        coverage += samples[i].a > 0.0 ? 0.25 : 0.0;
+    }
+    vec4 mean = sum / max(4.0 * coverage, 1.0);
+    // samples that agree are shaded once; across an edge each for itself: the mean of two normals is no normal of either side
+    bool agree = true;
+    for (int i = 0; i < 4; ++i)
+        agree = agree && (samples[i].a == 0.0 || (samples[i].a == mean.a
+            && dot(samples[i].rgb, mean.rgb) > 0.98 * length(samples[i].rgb) * length(mean.rgb)));
+    vec3 direction = normalize(world_from_view * vec3(view_bounds.xy + gl_FragCoord.xy / view_size * view_bounds.zw, 1.0));
+    vec3 mean_reflected = reflect(direction, normalize(mean.rgb + vec3(0.0, 1e-12, 0.0)));
+    vec3 step_x = dFdx(mean_reflected), step_y = dFdy(mean_reflected);
+    int count = agree ? 1 : 4;
+    vec3 total = vec3(0.0);
+    for (int i = 0; i < count; ++i) {
+        vec4 chosen = agree ? mean : (i < 2 ? (i == 0 ? samples[0] : samples[1]) : (i == 2 ? samples[2] : samples[3]));
+        float weight = agree ? coverage : (chosen.a > 0.0 ? 0.25 : 0.0);
+        Surface s = surface_at(chosen.rgb, chosen.a, first + ivec2(i & 1, i >> 1), direction);
+        vec3 reflected = seen_direction(s.position, reflect(direction, s.normal));
+        vec3 shaded = sanitize(shade(s, -direction, reflected, step_x, step_y));
+        total += weight > 0.0 ? weight * shaded : vec3(0.0);
+    }
+    radiance = vec4(total, coverage);
 }

@@ -20,6 +20,7 @@ from renderer.scene import Scene
 from server.worker.encode import Composited, EncodeThread
 from server.worker.ingest import Ingest
 from server.worker.light_message import light_message
+from server.worker.load_control import LoadControl
 from server.worker.messages import Message
 from server.worker.newest import Newest
 from server.worker.output_clock import OutputClock
@@ -56,6 +57,7 @@ class RenderLoop:
         self._encode.set_bitrate(start.get("bitrate_bps"))
         self._clock = OutputClock(int(start.get("timestamp", 0)))
         self._statistics = RollingStatistics()
+        self._load = LoadControl()
         self._ingest: Ingest | None = None
         self._frames_in_before = 0
         self._pipeline: Pipeline | None = None
@@ -164,8 +166,8 @@ class RenderLoop:
         assert self._reader is not None
         frame = decoded.frame
         flags = picture_flags(frame.width, frame.height, self._reader.size, frame.format.name)
-        if flags != self._state["flags"]:
-            self._report_state(flags=flags)
+        geometry = {"width": frame.width, "height": frame.height, "pix_fmt": frame.format.name}
+        self._report_state(flags=flags, input={**(self._state["input"] or {}), **geometry})
         self._frame_number += 1
         if not (self._viewers or self._light_clients):
             self._last = (self._reader.read(frame), decoded)
@@ -200,7 +202,8 @@ class RenderLoop:
     def _render(self, picture: YuvFrame, decoded: Decoded, started: float, timestamp: int) -> None:
         assert self._pipeline is not None
         if self._viewers:
-            rendered = self._pipeline.render(picture, self._scene)
+            reuse = self._load.reuse_light(self._frame_number, self.frames.dropped + self._encode.pictures.dropped)
+            rendered = self._pipeline.render(picture, self._scene, reuse_light=reuse)
             light, timings, self._errors = rendered.light, rendered.timings, rendered.errors
             assert isinstance(rendered.frame, YuvFrame)
             self._newest_composite = rendered.frame
@@ -265,6 +268,7 @@ class RenderLoop:
             "render_ms": self._statistics.render_ms(), "stages_ms": self._statistics.stages_ms(),
             "touched_fraction": round(self._statistics.touched_fraction, 5),
             "cpu_seconds": round(usage.ru_utime + usage.ru_stime, 3), "scene_revision": self._rendered_revision,
+            "environment_interval": self._load.environment_interval,
             "scene_errors": self._errors, "discontinuities": self._clock.discontinuities}, b"")
 
     def close(self) -> None:
@@ -285,9 +289,13 @@ def warm_up(pipeline: Pipeline, size: tuple[int, int]) -> None:
     width, height = size
     grey = YuvFrame(np.full((height, width), 126, np.uint8), *(np.full((height // 2, width // 2), 128, np.uint8),) * 2)
     grey.y[height // 4:height // 4 + max(2, height // 64), :max(2, width // 64)] = 235  # a light, so that it casts a shadow
-    scene = Scene.model_validate({"objects": [
+    objects: list[dict[str, Any]] = [
         {"id": "warm-up-1", "mesh": "box", "position": [0, -1.1, -3], "material": {"roughness": 0.5}},
-        {"id": "warm-up-2", "mesh": "sphere", "position": [3, -1.1, 0], "material": {"metallic": 1, "roughness": 0}}]})
-    pipeline.render(grey, scene)
+        {"id": "warm-up-2", "mesh": "sphere", "position": [3, -1.1, 0], "material": {"metallic": 1, "roughness": 0}},
+        {"id": "warm-up-3", "mesh": "sphere", "position": [0.7, -1.1, -3], "material": {"roughness": 0.3}}]
+    dark = YuvFrame(np.full_like(grey.y, 126), grey.u, grey.v)  # without a light
+    for frame in (grey, dark):
+        for count in (1, 2, 3):
+            pipeline.render(frame, Scene.model_validate({"objects": objects[:count]}))
     pipeline.render(grey, Scene())
     pipeline.reset()

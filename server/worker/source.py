@@ -67,13 +67,17 @@ class Source:
         self._stream.codec_context.flags |= av.codec.context.Flags.low_delay
 
     def _open(self) -> InputContainer:
+        started = time.monotonic()
         try:
             if self._path is not None:
                 return av.open(str(self._path), timeout=(OPEN_TIMEOUT_S, READ_TIMEOUT_S))
             url, options = network_options(self._url)
             return av.open(url, options=options, timeout=(OPEN_TIMEOUT_S, READ_TIMEOUT_S))
         except (av.error.FFmpegError, OSError, ValueError) as error:
-            raise SourceError(f"source does not open: {_reason(error)}") from None
+            # FFmpeg's protocols report what the interruption left them with, not that it was one
+            late = time.monotonic() - started > OPEN_TIMEOUT_S - 0.2
+            reason = f"no answer within {OPEN_TIMEOUT_S:g} s" if late else _reason(error)
+            raise SourceError(f"source does not open: {reason}") from None
 
     @property
     def info(self) -> SourceInfo:

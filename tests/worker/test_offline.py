@@ -122,3 +122,11 @@ def test_a_bad_input_is_one_line_and_exit_2(tmp_path: Path, name: str) -> None:
     assert done.stderr.count("\n") == 1
     assert not output.exists()
     assert sorted(path.name for path in tmp_path.iterdir()) in ([], [name])
+
+
+def test_without_gl_one_line_says_what_to_install(radiance_map: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("__EGL_VENDOR_LIBRARY_FILENAMES", "/nonexistent")
+    done = mr360("lights", radiance_map)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "install the packages libgl1 libegl1 libegl-mesa0 libgl1-mesa-dri" in done.stderr

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from server.worker.load_control import LoadControl
 from server.worker.newest import Newest
 from server.worker.output_clock import CLOCK_RATE, MIN_STEP, OutputClock
 
@@ -50,3 +51,26 @@ def test_the_output_clock_never_goes_back(steps: list[tuple[float | None, float]
         ticks = clock.timestamp(pts, now)
         assert ticks >= last + MIN_STEP
         last = ticks
+
+
+def test_under_load_the_light_is_read_less_often_and_again_when_there_is_room() -> None:
+    now = [0.0]
+    control = LoadControl(clock=lambda: now[0])
+
+    def share_reused(seconds: float, drops_per_s: float) -> float:
+        nonlocal dropped
+        reused = 0
+        frames = int(seconds * 30)
+        for frame in range(frames):
+            now[0] += 1 / 30
+            dropped += drops_per_s / 30
+            reused += control.reuse_light(frame, int(dropped))
+        return reused / frames
+
+    dropped = 0.0
+    assert share_reused(5, 0) == 0
+    share_reused(2, 5)
+    assert control.environment_interval == 2
+    assert share_reused(2, 5) == 0.5
+    assert share_reused(20, 0) < 0.3
+    assert control.environment_interval == 1
