@@ -129,6 +129,7 @@ class _ViewTarget:
         self.view: View | None = None           # whose surfaces are in the samples
         self.roughnesses: list[float] = []      # of those surfaces
         self.lobe_cells: dict[float, tuple[float, float, float]] = {}
+        self.lit_by: Illumination | None = None
 
     def release(self) -> None:
         release_all(self.framebuffer, self.shaded, self.texture, self.surfaces, *self.samples, self._depth)
@@ -150,6 +151,7 @@ class ObjectStage:
         self._targets: dict[tuple[int, int, bool], list[_ViewTarget]] = {}
         self._lobe_atlas = context.texture((1, 1), 4, "f4")
         self._uniforms: dict[str, object] = {}
+        self._illumination: Illumination | None = None
         self._slots = 0
         self._fourth_band = True
         self._lobe_cells: dict[float, tuple[float, float, float]] = {}
@@ -164,6 +166,7 @@ class ObjectStage:
 
     def set_illumination(self, illumination: Illumination) -> None:
         """Take over one frame's light."""
+        self._illumination = illumination
         lights = illumination.lights[:LIGHT_SLOTS[-1]]
         self._slots = next(slots for slots in LIGHT_SLOTS if slots >= len(lights))
         directions, irradiances, radii = np.zeros((self._slots, 3)), np.zeros((self._slots, 3)), np.zeros(self._slots)
@@ -215,11 +218,14 @@ class ObjectStage:
         target = self._target(view, textured)
         if target.view is not view or target.lobe_cells != self._lobe_cells:
             target.roughnesses = self._draw_surfaces(view, members, target, textured)
-            target.view, target.lobe_cells = view, self._lobe_cells
+            target.view, target.lobe_cells, target.lit_by = view, self._lobe_cells, None
         kind = Shading(textured, self._slots, self._fourth_band,
                        lobes=bool(self._lobe_cells) and (textured or max(target.roughnesses) >= MIRROR_BELOW),
                        mirrors=textured or min(target.roughnesses) < MIRROR_BELOW)
-        self._shade(view, target, kind)
+        # what no mirror shows is the same for as long as light and surfaces are
+        if kind.mirrors or target.lit_by is not self._illumination:
+            self._shade(view, target, kind)
+            target.lit_by = self._illumination
         return target.texture, view.size
 
     def keep(self, views: list[View]) -> None:

@@ -116,6 +116,7 @@ class ShadowStage:
         self._proxies: dict[int, tuple[PlacedMesh, Any, list[Any]]] = {}
         self._ambient: dict[str, tuple[bytes, ShadowMap]] = {}
         self._lights: dict[tuple[str, int], _KeptShadow] = {}
+        self._weighed: tuple[list[ShadowMap], bytes] | None = None
         upper = _hemisphere_directions(AMBIENT_SAMPLES)
         set_uniforms(self._ambient_program, {"sample_direction": np.pad(upper, ((0, 128 - AMBIENT_SAMPLES), (0, 0))),
                                              "sample_count": AMBIENT_SAMPLES, "weight": np.pi / AMBIENT_SAMPLES})
@@ -182,6 +183,7 @@ class ShadowStage:
         shadow = ShadowMap(cell, (float(low[0] - reach), float(low[2] - reach), float(high[0] + reach),
                                   float(high[2] + reach)), -1)
         self._ambient[key] = (state, shadow)
+        self._weighed = None
         self._draw(self._ambient_target, self._ambient_program, 1, placed, shadow, ground_y, AMBIENT_SAMPLES)
         return shadow
 
@@ -194,6 +196,9 @@ class ShadowStage:
 
     def weigh_ambient(self, shadows: list[ShadowMap], residual: Array) -> None:
         """Turn the maps' transfer vectors into missing irradiance, by the residual's (9, 3) coefficients of this frame."""
+        if self._weighed == (shadows, residual.tobytes()):
+            return
+        self._weighed = (shadows, residual.tobytes())
         self._missing_target.use()
         for unit, texture in enumerate(self.transfer):
             texture.use(FIRST_UNIT + unit)

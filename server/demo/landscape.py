@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.floating[Any]]
 
 CAMERA_HEIGHT_M = 1.6
-SUN_STRENGTH = 0.90                                     # what the sun adds to a white wall facing it, linear
-SKY_AMBIENT = np.array([0.30, 0.36, 0.48], np.float32)  # what the sky adds to a white surface: its own irradiance / pi
+SUN_STRENGTH = 1.15                                     # what the sun adds to a white wall facing it, linear
+SKY_AMBIENT = np.array([0.28, 0.34, 0.47], np.float32)  # what the sky adds to a white surface: its own irradiance / pi
 HAZE = np.array([0.50, 0.56, 0.64], np.float32)
-ZENITH = np.array([0.26, 0.33, 0.47], np.float32)
+ZENITH = np.array([0.20, 0.29, 0.45], np.float32)
 HORIZON_BAND_RAD = float(np.radians(11.0))              # hills and houses stay below this elevation
 
 

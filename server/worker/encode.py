@@ -18,6 +18,7 @@ from server.worker.picture import video_frame
 
 CLOCK_RATE = 90_000
 KEYFRAME_INTERVAL_S = 2.0
+SINGLE_THREAD_PIXELS = 2300 * 1150
 MIN_KEYFRAME_DISTANCE_S = 0.5      # between two keyframes on request
 
 
@@ -55,7 +56,8 @@ class Encoder:
         context.bit_rate = bitrate_bps
         context.gop_size = max(1, round(float(rate) * KEYFRAME_INTERVAL_S))
         context.max_b_frames = 0
-        context.thread_count = 2
+        # a second thread costs more in switching than it saves while the renderer wants both cores, and slices cost bits
+        context.thread_count = 1 if size[0] * size[1] <= SINGLE_THREAD_PIXELS else 2
         context.colorspace = context.color_primaries = 1 if bt709 else 6
         context.color_trc = 1 if bt709 else 6
         context.color_range = 2 if full_range else 1

@@ -69,8 +69,22 @@ def test_under_load_the_light_is_read_less_often_and_again_when_there_is_room() 
 
     dropped = 0.0
     assert share_reused(5, 0) == 0
-    share_reused(2, 5)
+    share_reused(0.5, 5)
     assert control.environment_interval == 2
-    assert share_reused(2, 5) == 0.5
-    assert share_reused(20, 0) < 0.3
+    share_reused(2, 5)
+    assert control.environment_interval == 4
+    assert share_reused(2, 5) == pytest.approx(0.75, abs=0.02)
+    share_reused(12, 0)
     assert control.environment_interval == 1
+
+
+def test_an_attempt_that_fails_is_repeated_ever_more_rarely() -> None:
+    now, dropped, attempts = [0.0], 0, 0
+    control = LoadControl(clock=lambda: now[0])
+    for frame in range(60 * 30):
+        now[0] += 1 / 30
+        before = control.environment_interval
+        dropped += before == 1
+        control.reuse_light(frame, dropped)
+        attempts += before == 2 and control.environment_interval == 1
+    assert 2 <= attempts <= 5
