@@ -17,7 +17,7 @@ from server import supervisor, worker_process
 from server.metrics import Metrics, StreamMetrics
 from server.stream import SnapshotError, Stream, StreamSettings
 
-LIMIT_S = 20.0
+LIMIT_S = 60.0
 READY = 'send({"type": "ready", "renderer": "none", "gl_version": "0"})\n'
 PACKET = '''
 def packet(timestamp):
