@@ -17,7 +17,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 Points = NDArray[np.float32]
 Triangles = NDArray[np.int32]
-MAX_PROXY_TRIANGLES = 160
+MAX_PROXY_TRIANGLES = 128
 _OUTLINE_STEPS = 4
 
 
@@ -59,7 +59,7 @@ class Mesh:
 
     @cached_property
     def proxy(self) -> tuple[Points, Triangles]:
-        """(n, 3) points and (m <= 160, 3) triangles that cast the shadow in place of the mesh."""
+        """(n, 3) points and (m <= 128, 3) triangles that cast the shadow in place of the mesh."""
         points, triangles = welded(self)
         if len(triangles) > MAX_PROXY_TRIANGLES:
             points, triangles = fast_simplification.simplify(points, triangles, target_count=MAX_PROXY_TRIANGLES)

@@ -202,7 +202,7 @@ class Pipeline:
               ground: GroundLight) -> tuple[list[Touched], list[Touched]]:
         casters = {item.id: placed[item.id] for item in scene.objects if item.id in placed and item.casts_shadow}
         gate = MIN_GROUND_SHARE * float(ground.total @ WEIGHTS)
-        self._shadows.forget(set(casters), {item.id for item in light.detection.lights})
+        self._shadows.begin(set(casters), {item.id for item in light.detection.lights})
         maps: list[ShadowMap | None] = []
         ambient: list[ShadowMap | None] = []
         for key, caster in casters.items():

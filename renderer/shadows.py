@@ -117,6 +117,7 @@ class ShadowStage:
         self._ambient: dict[str, tuple[bytes, ShadowMap]] = {}
         self._lights: dict[tuple[str, int], _KeptShadow] = {}
         self._weighed: tuple[list[ShadowMap], bytes] | None = None
+        self._redrawn = 0
         upper = _hemisphere_directions(AMBIENT_SAMPLES)
         set_uniforms(self._ambient_program, {"sample_direction": np.pad(upper, ((0, 128 - AMBIENT_SAMPLES), (0, 0))),
                                              "sample_count": AMBIENT_SAMPLES, "weight": np.pi / AMBIENT_SAMPLES})
@@ -125,12 +126,16 @@ class ShadowStage:
         """One object's shadow from one light, drawn unless the last one still holds. None when there is nothing to see.
 
         It holds while object and ground are as they were and the light has moved by less than a quarter of its radius:
-        the shadow's edge then errs by less than an eighth of its penumbra.
+        the shadow's edge then errs by less than an eighth of its penumbra. Up to a whole radius it waits for its turn, one
+        map a frame, so that a moving sun does not have all shadows drawn in the same frame.
         """
         place = _place_state(placed, ground_y)
         kept = self._lights.get((key, light.id))
-        if kept is not None and kept.place == place and _hardly_moved(kept.light, light):
-            return replace(kept.shadow, light=light_index) if kept.shadow is not None else None
+        if kept is not None and kept.place == place:
+            tolerance = STALE_SHARE if self._redrawn == 0 else 1.0
+            if _hardly_moved(kept.light, light, tolerance):
+                return replace(kept.shadow, light=light_index) if kept.shadow is not None else None
+            self._redrawn += 1
         cell = kept.cell if kept is not None else self._free_cell()
         if cell is None:
             return None
@@ -210,9 +215,10 @@ class ShadowStage:
             set_uniforms(self._missing_program, {"cell": viewport})
             self._missing_triangle.render(moderngl.TRIANGLES, 3)
 
-    def forget(self, keys: set[str], lights: set[int]) -> None:
-        """Free the cells of objects and lights that are gone: all but those of `keys` and `lights` (ids)."""
+    def begin(self, keys: set[str], lights: set[int]) -> None:
+        """Begin a frame. Free the cells of objects and lights that are gone: all but those of `keys` and `lights` (ids)."""
         self._lights = {name: kept for name, kept in self._lights.items() if name[0] in keys and name[1] in lights}
+        self._redrawn = 0
         for key in set(self._ambient) - keys:
             del self._ambient[key]
 
@@ -258,10 +264,11 @@ def _place_state(placed: PlacedMesh, ground_y: float) -> bytes:
     return placed.world_from_model.tobytes() + np.float64(ground_y).tobytes() + id(placed.mesh).to_bytes(8, "little")
 
 
-def _hardly_moved(before: Light, now: Light) -> bool:
+def _hardly_moved(before: Light, now: Light, tolerance: float) -> bool:
+    """By less than this share of its radius, and without growing much."""
     moved = float(np.arccos(np.clip(before.direction @ now.direction, -1, 1)))
     grown = abs(before.angular_radius - now.angular_radius)
-    return moved <= max(STALE_SHARE * now.angular_radius, STALE_MIN) and grown <= 0.2 * now.angular_radius
+    return moved <= max(tolerance * now.angular_radius, STALE_MIN) and grown <= 0.2 * now.angular_radius
 
 
 def world_points(placed: PlacedMesh) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
-WINDOW = 1000
+WINDOW = 300      # frames, as the worker reports its own
 
 
 class Percentiles:

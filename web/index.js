@@ -1,6 +1,6 @@
 // The stream list: refreshed for as long as the page is looked at.
 
-import { problemText, streamsUrl, viewUrl } from './service.js';
+import { controlUrl, problemText, streamsUrl, viewUrl } from './service.js';
 
 const REFRESH_MS = 3000;
 const SOURCES = {
@@ -31,8 +31,13 @@ function item({ name, state, detail, output, viewers }) {
   const audience = viewers === 1 ? '1 viewer' : `${viewers ?? 0} viewers`;
   const facts = [SOURCES[state] ?? state, state === 'live' ? null : detail, size, audience];
   link.append(span('name', name), span('dot', ''), span('facts', facts.filter(Boolean).join(' · ')));
+  const control = document.createElement('a');
+  control.href = controlUrl(name);
+  control.className = 'control';
+  control.textContent = 'Control';
+  control.setAttribute('aria-label', `Control ${name}`);
   const row = document.createElement('li');
-  row.append(link);
+  row.append(link, control);
   return row;
 }
 

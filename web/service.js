@@ -4,6 +4,7 @@ const ROOT = new URL('..', import.meta.url);
 
 export const streamsUrl = () => new URL('api/streams', ROOT).href;
 export const viewUrl = (stream) => new URL(`view/${encodeURIComponent(stream)}`, ROOT).href;
+export const controlUrl = (stream) => new URL(`control/${encodeURIComponent(stream)}`, ROOT).href;
 export const whepUrl = (stream) => new URL(`whep/${encodeURIComponent(stream)}`, ROOT).href;
 
 export function eventsUrl(stream) {
