@@ -133,13 +133,6 @@ class CompositeStage:
             self._vertex_arrays[variant] = self._context.gl.vertex_array(program, [(self._instances, layout + "/i", *names)])
         return program, self._vertex_arrays[variant]
 
-    def warm_up(self) -> None:
-        """Compile the variants that a scene may need sooner or later."""
-        for has_view in (False, True):
-            for maps in MAPS[:3]:
-                for ambients in AMBIENTS[:3]:
-                    self._variant((has_view, maps, ambients))
-
     def _constants(self, maps: list[Touched], ambient: list[Touched], ground: GroundLight | None) -> dict[str, object]:
         assert self._framebuffer is not None
         values: dict[str, object] = {
