@@ -6,11 +6,9 @@ import moderngl
 import numpy as np
 
 from renderer.color import YuvFormat
-from renderer.frame import Frame, RadianceFrame, RgbFrame, YuvFrame, check_size
+from renderer.frame import Frame, RgbFrame, YuvFrame, check_size
 from renderer.gl import Context, release_all, set_uniforms
 from renderer.inverse_tone_mapping import INVERSE_TABLE_SIZE, inverse_gain_table
-
-KINDS: tuple[type, ...] = (YuvFrame, RgbFrame, RadianceFrame)
 
 
 def source_defines(kind: type[Frame]) -> dict[str, int]:

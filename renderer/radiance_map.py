@@ -1,8 +1,7 @@
 """The radiance map: the frame's light on a small equirectangular grid, the input of every lighting stage.
 
-Inverse tone mapping is fused with the reduction; a full-resolution HDR frame never exists. Measured at 2048x1024 on two
-cores with llvmpipe: 22 ms for a full-resolution float frame with mip chain, 23 ms for this pass with pow() and one fetch a
-pixel, 4.5 ms with packed fetches and polynomials.
+Inverse tone mapping is fused with the reduction; a full-resolution HDR frame never exists. Packed fetches and polynomials in
+place of pow() make the pass about five times faster than its first, plain version (2048x1024, llvmpipe, two cores).
 """
 
 from __future__ import annotations

@@ -154,6 +154,8 @@ def test_hard_frames_give_finite_pictures(context: Context, value: float) -> Non
     rendered = render(context, frame, wanted)
     touched = radiance(rendered)[~(radiance(rendered) == frame.rgb).all(axis=2) & np.isfinite(frame.rgb).all(axis=2)]
     assert np.isfinite(touched).all()
+    sphere = uv_from_direction(np.array([0, -1.1, -3])) * (128, 64)
+    assert np.isfinite(radiance(rendered)[int(sphere[1]), int(sphere[0])]).all()   # whatever lies behind it
     assert rendered.light.detection.lights == ()
     assert np.isfinite(rendered.light.coefficients).all()
 
