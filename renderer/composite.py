@@ -28,7 +28,8 @@ FIRST_UNIT = 16           # after those of the object stage, which draws in betw
 
 DrawView = Callable[[View], tuple[moderngl.Texture, tuple[int, int]]]
 Drawn = tuple[View, moderngl.Texture, tuple[int, int]]
-Variant = tuple[bool, int, int]   # has a view; light maps; maps of the residual
+NO_VIEW, PERSPECTIVE, CUBE_FACE = 0, 1, 2     # as in composite.frag.glsl
+Variant = tuple[int, int, int]   # kind of view; light maps; maps of the residual
 
 
 @dataclass(frozen=True)
@@ -89,8 +90,10 @@ class CompositeStage:
         shadows.ambient_atlas.use(FIRST_UNIT + 2)
         # all views first: reading a texture that has just been drawn makes a software renderer wait for it
         drawn = [(view, *draw_view(view)) if batches else None for view, batches in zip(views, plan.batches, strict=False)]
+        self._context.gl.enable_only(moderngl.PROGRAM_POINT_SIZE)
         for view, batches in zip([*drawn, None], plan.batches, strict=True):
             self._draw(batches, view)
+        self._context.gl.enable_only(moderngl.NOTHING)
         return plan.tiles
 
     def _plan(self, views: list[View], maps: list[Touched], ambient: list[Touched]) -> _Plan:
@@ -120,9 +123,9 @@ class CompositeStage:
 
     def _variant(self, variant: Variant) -> tuple[moderngl.Program, moderngl.VertexArray]:
         if variant not in self._programs:
-            has_view, maps, ambients = variant
+            view, maps, ambients = variant
             self._programs[variant] = self._context.program("composite.vert.glsl", "composite.frag.glsl", {
-                **source_defines(self._panorama.kind), "OUTPUT_YUV": int(self._is_yuv), "HAS_VIEW": int(has_view),
+                **source_defines(self._panorama.kind), "OUTPUT_YUV": int(self._is_yuv), "VIEW": view,
                 "MAPS": maps, "AMBIENTS": ambients})
         program = self._programs[variant]
         if variant not in self._vertex_arrays:
@@ -130,7 +133,7 @@ class CompositeStage:
             layout = " ".join(part if name in program else part.replace("3i", "12x").replace("4i", "16x")
                               for part, name in zip(("3i", "4i", "4i", "4i"), ("tile", "maps_low", "maps_high", "ambients"),
                                                     strict=True))
-            self._vertex_arrays[variant] = self._context.gl.vertex_array(program, [(self._instances, layout + "/i", *names)])
+            self._vertex_arrays[variant] = self._context.gl.vertex_array(program, [(self._instances, layout, *names)])
         return program, self._vertex_arrays[variant]
 
     def _constants(self, maps: list[Touched], ambient: list[Touched], ground: GroundLight | None) -> dict[str, object]:
@@ -155,20 +158,19 @@ class CompositeStage:
 
     def _draw(self, batches: list[tuple[int, int, NDArray[np.int32]]], drawn: Drawn | None) -> None:
         for maps, ambients, instances in batches:
-            variant = (drawn is not None, maps, ambients)
+            kind = NO_VIEW if drawn is None else PERSPECTIVE if drawn[0].cube_axis < 0 else CUBE_FACE
+            variant = (kind, maps, ambients)
             program, vertex_array = self._variant(variant)
             self._panorama.bind(program)
             if variant not in self._prepared:
                 self._prepared.add(variant)
                 set_uniforms(program, self._frame_uniforms)
-            if drawn is None:
-                set_uniforms(program, {"view_axis": -1})
-            else:
+            if drawn is not None:
                 _bind_view(program, *drawn)
             self._instances.write(instances)
             assert self._framebuffer is not None
             self._framebuffer.use()
-            vertex_array.render(moderngl.TRIANGLE_STRIP, vertices=4, instances=len(instances))
+            vertex_array.render(moderngl.POINTS, vertices=len(instances))
 
     def _read(self, count: int, attachment: int) -> NDArray[np.generic]:
         """(count, fragments, fragments, 4) tiles of the atlas."""
@@ -214,7 +216,7 @@ def _bind_view(program: moderngl.Program, view: View, texture: moderngl.Texture,
     texture.use(FIRST_UNIT)
     left, right, bottom, top = view.bounds
     set_uniforms(program, {
-        "view_axis": view.cube_axis, "view_from_world": view.rotation.T,
+        "view_axis": view.rotation[2], "view_from_world": view.rotation.T,
         "view_bounds": (left, bottom, 1 / (right - left), 1 / (top - bottom)),
         "view_scale": (size[0] / texture.width, size[1] / texture.height)})
 

@@ -21,18 +21,19 @@ class PanoramaTextures:
 
     FIRST_UNIT = 0  # units 0 to 6
 
-    def __init__(self, context: Context, kind: type[Frame], size: tuple[int, int]) -> None:
+    def __init__(self, context: Context, kind: type[Frame], size: tuple[int, int], packed: int = 0) -> None:
         self.kind = kind
         self.size = size
         width, height = size
-        self.is_packed = kind is YuvFrame and width % 4 == 0
+        self.packed = packed   # pixels that share a texel of the packed planes, which the reduction reads: 8, 4, or 0 for none
         self._packed: list[moderngl.Texture] = []
         if kind is YuvFrame:
             sizes = [(width, height), (width // 2, height // 2), (width // 2, height // 2)]
             self._planes = [context.texture(s, 1, "f1", wrap_x=True) for s in sizes]
-            if self.is_packed:
-                self._packed = [context.texture((width // 4, rows), components, "f1", linear=False)
-                                for rows, components in ((height, 4), (height // 2, 2), (height // 2, 2))]
+            if self.packed:
+                luma, chroma = {8: ((2, "u4"), (1, "u4")), 4: ((1, "u4"), (1, "u2"))}[self.packed]
+                self._packed = [context.texture((width // self.packed, rows), components, dtype, linear=False)
+                                for rows, (components, dtype) in ((height, luma), (height // 2, chroma), (height // 2, chroma))]
         else:
             self._planes = [context.texture(size, 4, "f1" if kind is RgbFrame else "f4", wrap_x=True)]
         self._inverse_gain = context.texture((INVERSE_TABLE_SIZE, 1), 1, "f4")
@@ -49,7 +50,7 @@ class PanoramaTextures:
         if type(frame) is not self.kind or frame.size != self.size:
             raise ValueError(f"frame is {type(frame).__name__} {frame.size}, expected {self.kind.__name__} {self.size}")
         if isinstance(frame, YuvFrame):
-            textures = self._packed if only_packed and self.is_packed else [*self._packed, *self._planes]
+            textures = self._packed if only_packed and self.packed else [*self._packed, *self._planes]
             for index, texture in enumerate(textures):
                 texture.write(np.ascontiguousarray((frame.y, frame.u, frame.v)[index % 3]), alignment=1)
             self.format = frame.format

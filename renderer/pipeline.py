@@ -26,7 +26,7 @@ from renderer.mesh_library import MeshLibrary
 from renderer.objects import MIRROR_BELOW, GpuMesh, Illumination, ObjectStage, PlacedMesh
 from renderer.panorama import PanoramaTextures
 from renderer.placement import TILE, TileMask, View, plan_views, touched_tiles
-from renderer.radiance_map import RadianceMapStage
+from renderer.radiance_map import RadianceMapStage, packed_pixels
 from renderer.scene import Scene, SceneObject
 from renderer.shadows import ShadowMap, ShadowStage, world_points
 from renderer.specular import prefilter_all, quantized_roughness
@@ -89,7 +89,7 @@ class Pipeline:
                  mesh_root: Path | None = None) -> None:
         self._context = context
         self._size = size
-        self._panorama = PanoramaTextures(context, kind, size)
+        self._panorama = PanoramaTextures(context, kind, size, packed_pixels(kind, size))
         self._radiance = RadianceMapStage(context, self._panorama)
         self._objects = ObjectStage(context, self._panorama, self._radiance.texture)
         self._shadows = ShadowStage(context, size)

@@ -12,7 +12,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.frame import YuvFrame
+from renderer.frame import Frame, YuvFrame
 from renderer.gl import Context, release_all, set_uniforms
 from renderer.panorama import PanoramaTextures, source_defines
 
@@ -38,18 +38,26 @@ def map_size(frame_size: tuple[int, int]) -> tuple[int, int]:
     return map_width, min(height, map_width // 2)
 
 
+def packed_pixels(kind: type[Frame], size: tuple[int, int]) -> int:
+    """How many pixels a texel of the packed planes should hold for the reduction to a map: 8, 4, or 0 for none."""
+    if kind is not YuvFrame or size[0] % 4:
+        return 0
+    return 8 if size[0] % (8 * map_size(size)[0]) == 0 else 4
+
+
 class RadianceMapStage:
     """Owns the reduction pass of one source geometry."""
 
     def __init__(self, context: Context, panorama: PanoramaTextures) -> None:
         self._panorama = panorama
         self.size = map_size(panorama.size)
-        packed = panorama.kind is YuvFrame and panorama.is_packed
-        block_width, rest_x = divmod(panorama.size[0], self.size[0])
-        block_height, rest_y = divmod(panorama.size[1], self.size[1])
-        whole = not (rest_x or rest_y) and (not packed or (block_width % 4 == 0 and block_height % 2 == 0))
-        defines = {**source_defines(panorama.kind), "PACKED": int(packed),
-                   "BLOCK_WIDTH": block_width if whole else 0, "BLOCK_HEIGHT": block_height if whole else 0}
+        packed = panorama.packed
+        cell = (packed, 2) if packed else (1, 1)
+        counts = [frame // (texels * side) for frame, texels, side in zip(panorama.size, self.size, cell, strict=True)]
+        whole = all(count * texels * side == frame for count, frame, texels, side in
+                    zip(counts, panorama.size, self.size, cell, strict=True))
+        columns, rows = counts if whole else (0, 0)
+        defines = {**source_defines(panorama.kind), "PACKED": packed, "COLUMNS": columns, "ROWS": rows}
         self._program = context.program("full_screen.vert.glsl", "radiance_map.frag.glsl", defines)
         self.texture = context.texture(self.size, 4, "f4", wrap_x=True)
         self._target = context.gl.framebuffer([self.texture])

@@ -5,13 +5,17 @@
 
 const float TOUCHED = 1.0 / 1024.0;
 
-#if HAS_VIEW
+#define NO_VIEW 0
+#define PERSPECTIVE 1
+#define CUBE_FACE 2
+
+#if VIEW
 uniform sampler2D view_texture; // premultiplied radiance of the objects in one perspective view
 uniform mat3 view_from_world;   // rows: right, up, forward
 uniform vec4 view_bounds;       // left, bottom, 1 / width, 1 / height on the tangent plane
 uniform vec2 view_scale;        // the part of the texture that the view fills
+uniform vec3 view_axis;         // of the cube face
 #endif
-uniform int view_axis;          // cube face that owns a pixel: 2 * axis + negative; -1: the view owns the whole tile
 
 uniform float ground_y;
 uniform vec3 ground_irradiance; // without the objects
@@ -88,7 +92,7 @@ vec3 missing_light(vec3 direction) {
 }
 
 vec4 object_radiance(vec3 direction) {
-#if HAS_VIEW
+#if VIEW
     vec3 d = view_from_world * direction;
     vec2 uv = (d.xy / max(d.z, 1e-6) - view_bounds.xy) * view_bounds.zw;
     return inside(uv) && d.z > 0.0 ? textureLod(view_texture, uv * view_scale, 0.0) : vec4(0.0);
@@ -112,38 +116,41 @@ vec3 composite(Layers layers, vec3 background) {
     return background * layers.ratio * (1.0 - layers.object.a) + layers.object.rgb;
 }
 
+// Whether the cube face that the view shows is the one that owns a pixel; on an edge both do, and show the same.
 bool owned(vec3 d) {
-    vec3 a = abs(d);
-    int axis = a.x >= a.y && a.x >= a.z ? 0 : (a.y >= a.z ? 1 : 2);
-    return view_axis < 0 || view_axis == 2 * axis + (d[axis] < 0.0 ? 1 : 0);
+#if VIEW == CUBE_FACE
+    return dot(d, view_axis) >= max(abs(d.x), max(abs(d.y), abs(d.z)));
+#else
+    return true;
+#endif
 }
 
 #if OUTPUT_YUV
+vec3 composited_yuv(vec2 azimuth_trig, vec2 polar_trig, vec3 missing_residual, vec3 yuv) {
+    Layers layers = layers_at(direction_at(azimuth_trig, polar_trig), missing_residual);
+    vec3 result = composite(layers, radiance_from_signal(rgb_from_yuv * vec4(yuv, 1.0)));
+    vec3 new_yuv = yuv_from_rgb * vec4(srgb_from_linear(linear_from_radiance(result)), 1.0);
+    return differs(layers) ? new_yuv : yuv;
+}
+
+// Four pixels a fragment, written out: a software renderer takes half as long again for a loop.
 void main() {
     ivec2 in_tile = (ivec2(gl_FragCoord.xy) - cell_fragment) * 2;
-    ivec2 first = first_pixel + in_tile;
     Trig near = trig_at(vec2(in_tile) + 0.5), far = trig_at(vec2(in_tile) + 1.5), middle = trig_at(vec2(in_tile) + 1.0);
     vec3 centre = direction_at(vec2(middle.sine.x, middle.cosine.x), vec2(middle.sine.y, middle.cosine.y));
     if (!owned(centre)) discard;
     vec3 missing_residual = missing_ambient(centre);    // smooth: once for four pixels
-    ivec2 chroma_pixel = min(first >> 1, frame_size / 2 - 1);
-    vec2 chroma = vec2(texelFetch(u_plane, chroma_pixel, 0).r, texelFetch(v_plane, chroma_pixel, 0).r);
-    vec4 luma;
-    vec2 new_chroma = vec2(0.0);
-    for (int i = 0; i < 4; ++i) {
-        bool right = (i & 1) != 0, below = (i >> 1) != 0;
-        vec2 azimuth = right ? vec2(far.sine.x, far.cosine.x) : vec2(near.sine.x, near.cosine.x);
-        vec2 polar = below ? vec2(far.sine.y, far.cosine.y) : vec2(near.sine.y, near.cosine.y);
-        Layers layers = layers_at(direction_at(azimuth, polar), missing_residual);
-        vec3 yuv = vec3(texelFetch(luma_plane, min(first + ivec2(right, below), frame_size - 1), 0).r, chroma);
-        vec3 result = composite(layers, radiance_from_signal(rgb_from_yuv * vec4(yuv, 1.0)));
-        vec3 new_yuv = yuv_from_rgb * vec4(srgb_from_linear(linear_from_radiance(result)), 1.0);
-        yuv = differs(layers) ? new_yuv : yuv;
-        luma[i] = yuv.x;
-        new_chroma += 0.25 * yuv.yz;
-    }
-    luma_block = luma;
-    chroma_block = vec4(new_chroma, 0.0, 1.0);
+    ivec2 first = min(first_pixel + in_tile, frame_size - 2);
+    vec4 luma = block_luma(first);
+    vec2 chroma = vec2(texelFetch(u_plane, first >> 1, 0).r, texelFetch(v_plane, first >> 1, 0).r);
+    vec2 left = vec2(near.sine.x, near.cosine.x), right = vec2(far.sine.x, far.cosine.x);
+    vec2 upper = vec2(near.sine.y, near.cosine.y), lower = vec2(far.sine.y, far.cosine.y);
+    vec3 upper_left = composited_yuv(left, upper, missing_residual, vec3(luma.x, chroma));
+    vec3 upper_right = composited_yuv(right, upper, missing_residual, vec3(luma.y, chroma));
+    vec3 lower_left = composited_yuv(left, lower, missing_residual, vec3(luma.z, chroma));
+    vec3 lower_right = composited_yuv(right, lower, missing_residual, vec3(luma.w, chroma));
+    luma_block = vec4(upper_left.x, upper_right.x, lower_left.x, lower_right.x);
+    chroma_block = vec4(0.25 * (upper_left.yz + upper_right.yz + lower_left.yz + lower_right.yz), 0.0, 1.0);
 }
 #else
 void main() {

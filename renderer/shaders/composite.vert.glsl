@@ -1,4 +1,5 @@
-// One instance a tile: a square of the output atlas, where it lies in the frame, and the shadow maps that reach it.
+// One point a tile: a square of the output atlas, where it lies in the frame, and the shadow maps that reach it. A point, because
+// two triangles would have the fragments along their diagonal shaded twice.
 #include "equirectangular.glsl"
 
 const int MAX_MAPS = 64;
@@ -35,13 +36,13 @@ flat out vec3 hidden_cell[AMBIENTS];
 int map_index(int i) { return i < 4 ? maps_low[i] : maps_high[i - 4]; }
 
 void main() {
-    ivec2 corner = ivec2(gl_VertexID & 1, gl_VertexID >> 1);
     ivec2 slot = ivec2(tile.z % atlas_columns, tile.z / atlas_columns);
     cell_fragment = slot * tile_fragments;
     first_pixel = tile.xy * tile_pixels;
     vec2 centre = (vec2(first_pixel) + 0.5 * float(tile_pixels)) / vec2(frame_size) * vec2(2.0, 1.0) * PI - vec2(PI, 0.0);
     centre_trig = vec4(sin(centre), cos(centre));
-    gl_Position = vec4(vec2((slot + corner) * tile_fragments) / vec2(atlas_size) * 2.0 - 1.0, 0.0, 1.0);
+    gl_Position = vec4((vec2(slot) + 0.5) * float(tile_fragments) / vec2(atlas_size) * 2.0 - 1.0, 0.0, 1.0);
+    gl_PointSize = float(tile_fragments);
 #if MAPS
     for (int i = 0; i < MAPS; ++i) {
         int index = map_index(i), following = i + 1 < MAPS ? map_index(i + 1) : -1;

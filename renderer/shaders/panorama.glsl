@@ -15,6 +15,14 @@ vec3 radiance_from_signal(vec3 signal) {
     return radiance_from_linear(linear_from_srgb(clamp(signal, 0.0, 1.0)));
 }
 
+#if SOURCE_YUV
+// Luma codes of 2 x 2 pixels by rows; `first` is even.
+vec4 block_luma(ivec2 first) {
+    return vec4(texelFetch(luma_plane, first, 0).r, texelFetch(luma_plane, first + ivec2(1, 0), 0).r,
+                texelFetch(luma_plane, first + ivec2(0, 1), 0).r, texelFetch(luma_plane, first + ivec2(1, 1), 0).r);
+}
+#endif
+
 // The exact value of one pixel; chroma is that of its 2x2 block, so that writing it back is lossless.
 vec3 pixel_radiance(ivec2 pixel) {
 #if SOURCE_YUV

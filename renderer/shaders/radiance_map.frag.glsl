@@ -10,10 +10,12 @@ out vec4 texel;
 const float CLIPPED = 0.985;   // of the display signal
 
 #if PACKED
-// Four pixels of luma, two of chroma a texel: a fetch costs the same as one of a single sample.
-uniform sampler2D packed_luma;     // RGBA8, width / 4
-uniform sampler2D packed_u;        // RG8, width / 4
-uniform sampler2D packed_v;
+// PACKED pixels of luma (8 or 4) and half as many of chroma a texel: a fetch costs about the same as one of a single sample.
+uniform usampler2D packed_luma;
+uniform usampler2D packed_u;
+uniform usampler2D packed_v;
+
+vec4 codes(uint four) { return vec4(four & 255u, (four >> 8) & 255u, (four >> 16) & 255u, four >> 24) * (1.0 / 255.0); }
 
 // Decoding without roots and without the branch for the toe, within 0.7 % of (value + 0.02): enough for a mean of light.
 #define DECODED(s) ((s) * ((s) * ((s) * ((s) * ((s) * 0.84252675 - 1.90690802) + 1.80608963) + 0.19945037) + 0.06561054))
@@ -37,44 +39,88 @@ vec4 block_radiance(vec3 chroma, vec4 luma) {
     return vec4(color * scale, clipped.x + clipped.y + clipped.z + clipped.w);
 }
 
-// A cell of 4 x 2 pixels.
-vec4 cell_radiance(ivec2 cell) {
-    vec4 upper = texelFetch(packed_luma, ivec2(cell.x, cell.y * 2), 0) * rgb_from_yuv[0][0];
-    vec4 lower = texelFetch(packed_luma, ivec2(cell.x, cell.y * 2 + 1), 0) * rgb_from_yuv[0][0];
-    vec2 u = texelFetch(packed_u, cell, 0).rg, v = texelFetch(packed_v, cell, 0).rg;
-    vec3 left = rgb_from_yuv[1] * u.x + rgb_from_yuv[2] * v.x + rgb_from_yuv[3];
-    vec3 right = rgb_from_yuv[1] * u.y + rgb_from_yuv[2] * v.y + rgb_from_yuv[3];
-    return block_radiance(left, vec4(upper.xy, lower.xy)) + block_radiance(right, vec4(upper.zw, lower.zw));
+vec3 chroma_offset(float u, float v) { return rgb_from_yuv[1] * u + rgb_from_yuv[2] * v + rgb_from_yuv[3]; }
+
+// Two blocks of 2 x 2 pixels.
+vec4 blocks_radiance(uint upper_codes, uint lower_codes, vec2 u, vec2 v) {
+    vec4 upper = codes(upper_codes) * rgb_from_yuv[0][0], lower = codes(lower_codes) * rgb_from_yuv[0][0];
+    return block_radiance(chroma_offset(u.x, v.x), vec4(upper.xy, lower.xy))
+        + block_radiance(chroma_offset(u.y, v.y), vec4(upper.zw, lower.zw));
 }
+
+// Sum over a cell of PACKED x 2 pixels.
+vec4 cell_radiance(ivec2 cell) {
+    uvec2 upper = texelFetch(packed_luma, ivec2(cell.x, cell.y * 2), 0).rg;
+    uvec2 lower = texelFetch(packed_luma, ivec2(cell.x, cell.y * 2 + 1), 0).rg;
+    vec4 u = codes(texelFetch(packed_u, cell, 0).r), v = codes(texelFetch(packed_v, cell, 0).r);
+#if PACKED == 8
+    return blocks_radiance(upper.x, lower.x, u.xy, v.xy) + blocks_radiance(upper.y, lower.y, u.zw, v.zw);
+#else
+    return blocks_radiance(upper.x, lower.x, u.xy, v.xy);
+#endif
+}
+const ivec2 CELL = ivec2(PACKED, 2);
+#else
+vec4 cell_radiance(ivec2 pixel) { return vec4(pixel_radiance(pixel), 0.0); }
+const ivec2 CELL = ivec2(1, 1);
 #endif
 
-#if PACKED
-const ivec2 CELL = ivec2(4, 2);
+float row_weight(int y) { return sin((float(y) + 0.5) / float(frame_size.y / CELL.y) * PI); }
+
+#if COLUMNS
+// COLUMNS x ROWS cells make a texel; the usual numbers are written out, because a software renderer takes half as long again
+// for a loop, even one of a single turn.
+vec4 row_radiance(ivec2 first) {
+#if COLUMNS == 1
+    return cell_radiance(first);
+#elif COLUMNS == 2
+    return cell_radiance(first) + cell_radiance(first + ivec2(1, 0));
 #else
-const ivec2 CELL = ivec2(1, 1);
-vec4 cell_radiance(ivec2 pixel) { return vec4(pixel_radiance(pixel), 0.0); }
+    vec4 row = vec4(0.0);
+    for (int x = 0; x < COLUMNS; ++x)
+        row += cell_radiance(first + ivec2(x, 0));
+    return row;
 #endif
+}
+
+vec4 four_rows(ivec2 first, inout float weights) {
+    vec4 weight = vec4(row_weight(first.y), row_weight(first.y + 1), row_weight(first.y + 2), row_weight(first.y + 3));
+    weights += weight.x + weight.y + weight.z + weight.w;
+    return weight.x * row_radiance(first) + weight.y * row_radiance(first + ivec2(0, 1))
+        + weight.z * row_radiance(first + ivec2(0, 2)) + weight.w * row_radiance(first + ivec2(0, 3));
+}
 
 void main() {
-    ivec2 cells = frame_size / CELL;
-    ivec2 index = ivec2(gl_FragCoord.xy);
-#if BLOCK_WIDTH
-    // constant bounds let the compiler unroll: a third of the time
-    const ivec2 count = ivec2(BLOCK_WIDTH, BLOCK_HEIGHT) / CELL;
-    ivec2 first = index * count;
+    ivec2 first = ivec2(gl_FragCoord.xy) * ivec2(COLUMNS, ROWS);
+    float weights = 0.0;
+#if ROWS == 4
+    vec4 sum = four_rows(first, weights);
+#elif ROWS == 8
+    vec4 sum = four_rows(first, weights);
+    sum += four_rows(first + ivec2(0, 4), weights);
 #else
-    ivec2 first = index * cells / map_size;
-    ivec2 count = max((index + 1) * cells / map_size - first, ivec2(1));
+    vec4 sum = vec4(0.0);
+    for (int y = 0; y < ROWS; ++y) {
+        float weight = row_weight(first.y + y);
+        sum += weight * row_radiance(first + ivec2(0, y));
+        weights += weight;
+    }
 #endif
+    texel = sum / (weights * float(COLUMNS * CELL.x * CELL.y));
+}
+#else
+// Texels that are no whole number of cells.
+void main() {
+    ivec2 cells = frame_size / CELL, index = ivec2(gl_FragCoord.xy);
+    ivec2 first = index * cells / map_size, count = max((index + 1) * cells / map_size - first, ivec2(1));
     vec4 sum = vec4(0.0);
     float weights = 0.0;
     for (int y = 0; y < count.y; ++y) {
-        float weight = sin((float(first.y + y) + 0.5) / float(cells.y) * PI);
-        vec4 row = vec4(0.0);
+        float weight = row_weight(first.y + y);
         for (int x = 0; x < count.x; ++x)
-            row += cell_radiance(first + ivec2(x, y));
-        sum += weight * row;
+            sum += weight * cell_radiance(first + ivec2(x, y));
         weights += weight;
     }
     texel = sum / (weights * float(count.x * CELL.x * CELL.y));
 }
+#endif

@@ -65,14 +65,14 @@ vec3 seen_direction(vec3 from, vec3 ray) {
 vec3 mirror_radiance(vec3 direction, vec3 step_x, vec3 step_y) {
     float footprint = max(length(step_x), length(step_y));
     float pixel = 2.0 * PI / float(frame_size.x);
-    float taps = clamp(ceil(footprint / pixel), 1.0, 2.0);
+    float texel = 2.0 * PI / float(textureSize(radiance_map, 0).x);
+    float coarse = smoothstep(0.5 * texel, texel, footprint);
+    float taps = coarse < 1.0 ? clamp(ceil(footprint / pixel), 1.0, 2.0) : 0.0;
     vec3 sum = vec3(0.0);
     for (float i = 0.5; i < taps; i += 1.0)
         for (float j = 0.5; j < taps; j += 1.0)
             sum += panorama_radiance(uv_from_direction(direction + step_x * (i / taps - 0.5) + step_y * (j / taps - 0.5)));
-    float texel = 2.0 * PI / float(textureSize(radiance_map, 0).x);
-    float coarse = smoothstep(0.5 * texel, texel, footprint);
-    return mix(sum / (taps * taps), textureLod(radiance_map, uv_from_direction(direction), 0.0).rgb, coarse);
+    return mix(sum / max(taps * taps, 1.0), textureLod(radiance_map, uv_from_direction(direction), 0.0).rgb, coarse);
 }
 
 // `map`: u scale, v offset, v scale in the atlas.
@@ -159,34 +159,42 @@ Surface surface_at(vec3 normal_times_distance, float surface, ivec2 sample_pixel
     return s;
 }
 
+// The samples of a pixel that are shaded as one: one surface, and normals that agree with the first one's.
+struct Group { vec4 sample_sum; vec4 first; int first_index; float members; float weight; };
+
+bool joins(Group group, vec4 found) {
+    return group.weight == 0.0 || (found.a == group.first.a
+        && dot(found.rgb, group.first.rgb) > 0.96 * length(found.rgb) * length(group.first.rgb));
+}
+
+Group with_sample(Group group, vec4 found, int index) {
+    bool is_first = group.weight == 0.0;
+    return Group(group.sample_sum + found, is_first ? found : group.first, is_first ? index : group.first_index,
+                 group.members + 1.0, group.weight + 0.25);
+}
+
 void main() {
-    ivec2 first = ivec2(gl_FragCoord.xy) * 2;
-    vec4 samples[4];
-    vec4 sum = vec4(0.0);
-    float coverage = 0.0;
+    ivec2 corner = ivec2(gl_FragCoord.xy) * 2;
+    // Two groups at most, for the mean of two normals is no normal of either side; a third one takes the second's colour.
+    Group near = Group(vec4(0.0), vec4(0.0), 0, 0.0, 0.0), far = near;
     for (int i = 0; i < 4; ++i) {
-        samples[i] = texelFetch(geometry, first + ivec2(i & 1, i >> 1), 0);
-        sum += samples[i];
-        coverage += samples[i].a > 0.0 ? 0.25 : 0.0;
+        vec4 found = texelFetch(geometry, corner + ivec2(i & 1, i >> 1), 0);
+        bool covered = found.a > 0.0, in_near = joins(near, found), in_far = joins(far, found);
+        if (covered && in_near) near = with_sample(near, found, i);
+        if (covered && !in_near && in_far) far = with_sample(far, found, i);
+        if (covered && !in_near && !in_far) far.weight += 0.25;
     }
-    vec4 mean = sum / max(4.0 * coverage, 1.0);
-    // samples that agree are shaded once; across an edge each for itself: the mean of two normals is no normal of either side
-    bool agree = true;
-    for (int i = 0; i < 4; ++i)
-        agree = agree && (samples[i].a == 0.0 || (samples[i].a == mean.a
-            && dot(samples[i].rgb, mean.rgb) > 0.98 * length(samples[i].rgb) * length(mean.rgb)));
     vec3 direction = normalize(world_from_view * vec3(view_bounds.xy + gl_FragCoord.xy / view_size * view_bounds.zw, 1.0));
-    vec3 mean_reflected = reflect(direction, normalize(mean.rgb + vec3(0.0, 1e-12, 0.0)));
+    vec3 mean_reflected = reflect(direction, normalize(near.sample_sum.rgb + vec3(0.0, 1e-12, 0.0)));
     vec3 step_x = dFdx(mean_reflected), step_y = dFdy(mean_reflected);
-    int count = agree ? 1 : 4;
     vec3 total = vec3(0.0);
+    int count = far.weight > 0.0 ? 2 : (near.weight > 0.0 ? 1 : 0);     // pixels without an object cost nothing
     for (int i = 0; i < count; ++i) {
-        vec4 chosen = agree ? mean : (i < 2 ? (i == 0 ? samples[0] : samples[1]) : (i == 2 ? samples[2] : samples[3]));
-        float weight = agree ? coverage : (chosen.a > 0.0 ? 0.25 : 0.0);
-        Surface s = surface_at(chosen.rgb, chosen.a, first + ivec2(i & 1, i >> 1), direction);
+        Group group = i == 0 ? near : far;
+        Surface s = surface_at(group.sample_sum.rgb / group.members, group.first.a,
+                               corner + ivec2(group.first_index & 1, group.first_index >> 1), direction);
         vec3 reflected = seen_direction(s.position, reflect(direction, s.normal));
-        vec3 shaded = sanitize(shade(s, -direction, reflected, step_x, step_y));
-        total += weight > 0.0 ? weight * shaded : vec3(0.0);
+        total += group.weight * sanitize(shade(s, -direction, reflected, step_x, step_y));
     }
-    radiance = vec4(total, coverage);
+    radiance = vec4(total, near.weight + far.weight);
 }

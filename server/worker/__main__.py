@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import os
-
-# Before numpy is loaded: its matrices are too small for a second thread, which would only spin against the rasteriser's.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
 import argparse
 import logging
+import os
 import signal
 import socket
 import sys

@@ -1,0 +1,141 @@
+"""Times every stage of the live frame path on the demo's own clip and scene, one frame after another.
+
+Nothing else runs meanwhile, so a row is what a stage costs, not how long it waits for the others; `mr360 demo --report`
+measures that. Wall time is what passes with the renderer's own threads at work, processor time what all of them use.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import av
+from av.video.frame import VideoFrame
+
+from renderer.frame import YuvFrame
+from renderer.gl import Context, GLUnavailableError
+from renderer.pipeline import Pipeline
+from renderer.scene import Scene
+from server.demo.clip import demo_clip
+from server.demo.sample_scene import sample_scene
+from server.worker.encode import Composited, Encoder, default_bitrate
+from server.worker.picture import PictureReader
+from server.worker.render_loop import warm_up
+from server.worker.statistics import percentiles
+
+BAD_INPUT = 2
+WIDTH, FPS = 2048, 30
+WARM_UP_FRAMES = 30
+FRAMES, QUICK_FRAMES = 400, 200
+
+
+class _Samples:
+    """Milliseconds by row: wall time, and processor time of the whole process."""
+
+    def __init__(self) -> None:
+        self.wall: dict[str, list[float]] = {}
+        self.processor: dict[str, list[float]] = {}
+
+    @contextmanager
+    def row(self, name: str) -> Iterator[None]:
+        wall, processor = time.perf_counter(), time.process_time()
+        yield
+        self.wall.setdefault(name, []).append((time.perf_counter() - wall) * 1e3)
+        self.processor.setdefault(name, []).append((time.process_time() - processor) * 1e3)
+
+    def add(self, name: str, milliseconds: float) -> None:
+        self.wall.setdefault(name, []).append(milliseconds)
+
+    def as_json(self) -> dict[str, Any]:
+        return {name: {"wall_ms": percentiles(values), "processor_ms": percentiles(self.processor.get(name, []))}
+                for name, values in self.wall.items()}
+
+
+def run_bench(arguments: argparse.Namespace) -> int:
+    """Print the table and write the JSON file. Returns the exit status."""
+    try:
+        if arguments.plot is not None:
+            raise ValueError("--plot is not available yet, expected --quick or --json")
+        report = bench(QUICK_FRAMES if arguments.quick else FRAMES)
+        print(table(report))
+        if arguments.json is not None:
+            arguments.json.write_text(json.dumps(report, indent=1) + "\n")
+    except (GLUnavailableError, ValueError, OSError) as error:
+        print(f"mr360 bench: {' '.join(str(error).split())}", file=sys.stderr)
+        return BAD_INPUT
+    return 0
+
+
+def bench(count: int, width: int = WIDTH, fps: int = FPS) -> dict[str, Any]:
+    """Frames of the demo's clip through decoder, renderer and encoder; the demo's scene, then an empty one."""
+    clip, size = demo_clip(width, fps), (width, width // 2)
+    context = Context()
+    scenes = {"demo": Scene.model_validate(sample_scene()), "empty": Scene()}
+    report = {
+        "machine": {"processors": os.cpu_count(), "machine": platform.processor() or platform.machine(),
+                    "renderer": context.renderer, "load_average": os.getloadavg()[0]},
+        "size": size, "frames": count,
+        "scenes": {name: _run(context, clip, scene, size, fps, count).as_json() for name, scene in scenes.items()}}
+    context.release()
+    return report
+
+
+def _run(context: Context, clip: Path, scene: Scene, size: tuple[int, int], fps: int, count: int) -> _Samples:
+    pipeline = Pipeline(context, YuvFrame, size)
+    warm_up(pipeline, size)
+    reader = PictureReader(size)
+    encoder = Encoder(size, fps, default_bitrate(*size), bt709=True, full_range=False)
+    samples = _Samples()
+    for index, frame in enumerate(_decoded(clip, count + WARM_UP_FRAMES, samples)):
+        picture = reader.read(frame)
+        with samples.row("render"):
+            rendered = pipeline.render(picture, scene)
+        for stage, milliseconds in rendered.timings.stages.items():
+            samples.add(f"  {stage}", milliseconds)
+        assert isinstance(rendered.frame, YuvFrame)
+        item = Composited(rendered.frame, index, index * 90_000 // fps, 0.0, 0.0)
+        with samples.row("encode"):
+            encoder.encode(item, keyframe=False)
+        if index + 1 == WARM_UP_FRAMES:
+            samples.wall.clear()
+            samples.processor.clear()
+    pipeline.release()
+    return samples
+
+
+def _decoded(clip: Path, count: int, samples: _Samples) -> Iterator[VideoFrame]:
+    """The clip's first `count` frames, again from the beginning if it is shorter."""
+    while count > 0:
+        with av.open(str(clip)) as container:
+            stream = container.streams.video[0]
+            stream.thread_type = "SLICE"
+            frames = container.decode(stream)
+            while count > 0:
+                with samples.row("decode"):
+                    frame = next(frames, None)
+                if frame is None:
+                    break
+                yield frame
+                count -= 1
+
+
+def table(report: dict[str, Any]) -> str:
+    """The report as text."""
+    machine = report["machine"]
+    lines = [f"{machine['processors']} x {machine['machine']}, {machine['renderer']}, load {machine['load_average']:.2f}",
+             f"{report['size'][0]}x{report['size'][1]}, {report['frames']} frames after {WARM_UP_FRAMES} of warm-up, milliseconds"]
+    for name, rows in report["scenes"].items():
+        lines += ["", f"{'scene ' + name:26}{'wall p50':>10}{'p95':>8}{'max':>8}{'cpu p50':>10}{'p95':>8}"]
+        for row, figures in rows.items():
+            wall, processor = figures["wall_ms"], figures["processor_ms"]
+            cpu = f"{processor['p50']:10.2f}{processor['p95']:8.2f}" if processor else ""
+            lines.append(f"{row:26}{wall['p50']:10.2f}{wall['p95']:8.2f}{wall['max']:8.2f}{cpu}")
+    return "\n".join(lines)
