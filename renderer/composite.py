@@ -14,21 +14,23 @@ from numpy.typing import NDArray
 
 from renderer.frame import RadianceFrame, RgbFrame, YuvFrame
 from renderer.gl import Context, release_all, set_uniforms
-from renderer.panorama import PanoramaTextures, source_defines
+from renderer.panorama import PanoramaTextures
 from renderer.placement import TILE, TileMask, View
 from renderer.shadows import ShadowMap, ShadowStage
 
 Array = NDArray[np.float64]
-MAPS = (0, 1, 2, 4, 8)         # light maps in one tile: each number has a program of its own, with constant loops
-AMBIENTS = (0, 1, 2, 4)
+# Maps of lights and of the residual in one tile: each pair has a program of its own, and a tile takes the first that is enough.
+# Few, because a software renderer compiles each for a third of a second.
+SLOTS = ((0, 1), (1, 1), (2, 2), (8, 4))
 MAX_SHADOWS = 64               # of each kind in one frame; as in composite.vert.glsl
-INSTANCE_INTS = 15
+POINT_INTS = 15
 ATLAS_COLUMNS = 32
 FIRST_UNIT = 16           # after those of the object stage, which draws in between
 
 DrawView = Callable[[View], tuple[moderngl.Texture, tuple[int, int]]]
 Drawn = tuple[View, moderngl.Texture, tuple[int, int]]
 NO_VIEW, PERSPECTIVE, CUBE_FACE = 0, 1, 2     # as in composite.frag.glsl
+Batch = tuple[tuple[int, int], int, int]      # of SLOTS; first point and number of points
 Variant = tuple[int, int, int]   # kind of view; light maps; maps of the residual
 
 
@@ -51,10 +53,11 @@ class Touched:
 
 @dataclass(frozen=True)
 class _Plan:
-    """Touched tiles in atlas order, and per view (the last entry: no view) the instances to draw with each program."""
+    """Touched tiles in atlas order, the points to draw, and per view (the last entry: no view) which with each program."""
 
     tiles: NDArray[np.intp]
-    batches: list[list[tuple[int, int, NDArray[np.int32]]]]
+    points: NDArray[np.int32]
+    batches: list[list[Batch]]
     masks: list[TileMask]
     sizes: tuple[int, int]
 
@@ -70,10 +73,11 @@ class CompositeStage:
         self._programs: dict[Variant, moderngl.Program] = {}
         self._vertex_arrays: dict[Variant, moderngl.VertexArray] = {}
         self._last_plan: _Plan | None = None
+        self._last_drawn: Drawn | None = None
         self._rows = 0
         self._textures: list[moderngl.Texture] = []
         self._framebuffer: moderngl.Framebuffer | None = None
-        self._instances = context.gl.buffer(reserve=4 * INSTANCE_INTS * 256)
+        self._points = context.gl.buffer(reserve=4 * POINT_INTS * 256)
 
     def run(self, views: list[View], draw_view: DrawView, maps: list[Touched], ambient: list[Touched],
             ground: GroundLight | None, shadows: ShadowStage) -> NDArray[np.intp]:
@@ -90,11 +94,23 @@ class CompositeStage:
         shadows.ambient_atlas.use(FIRST_UNIT + 2)
         # all views first: reading a texture that has just been drawn makes a software renderer wait for it
         drawn = [(view, *draw_view(view)) if batches else None for view, batches in zip(views, plan.batches, strict=False)]
+        assert self._framebuffer is not None
+        self._framebuffer.use()
         self._context.gl.enable_only(moderngl.PROGRAM_POINT_SIZE)
+        self._last_drawn = next((view for view in drawn if view is not None), None)
         for view, batches in zip([*drawn, None], plan.batches, strict=True):
             self._draw(batches, view)
         self._context.gl.enable_only(moderngl.NOTHING)
         return plan.tiles
+
+    def compile_variants(self) -> None:
+        """Draw a tile of the last frame with every program that objects without cube faces need."""
+        assert self._framebuffer is not None
+        self._framebuffer.use()
+        self._context.gl.enable_only(moderngl.PROGRAM_POINT_SIZE)
+        for view in (None, self._last_drawn):
+            self._draw([(slots, 0, 1) for slots in SLOTS], view)
+        self._context.gl.enable_only(moderngl.NOTHING)
 
     def _plan(self, views: list[View], maps: list[Touched], ambient: list[Touched]) -> _Plan:
         """Which tiles are drawn with what; kept for as long as all masks are the same arrays."""
@@ -104,8 +120,16 @@ class CompositeStage:
         if kept is not None and kept.sizes == sizes and len(kept.masks) == len(masks) and all(
                 a is b for a, b in zip(kept.masks, masks, strict=True)):
             return kept
-        self._last_plan = _make_plan(views, maps, ambient, masks, sizes)
-        return self._last_plan
+        plan = self._last_plan = _make_plan(views, maps, ambient, masks, sizes)
+        self._upload(plan.points)
+        return plan
+
+    def _upload(self, points: NDArray[np.int32]) -> None:
+        if self._points.size < points.nbytes:
+            release_all(*self._vertex_arrays.values())
+            self._vertex_arrays.clear()
+            self._points.orphan(2 * points.nbytes)
+        self._points.write(points)
 
     def _reserve(self, count: int) -> None:
         rows = -(-count // ATLAS_COLUMNS)
@@ -116,16 +140,12 @@ class CompositeStage:
             dtypes = ["f1", "f1"] if self._is_yuv else ["f4"]
             self._textures = [self._context.texture(size, 4, dtype) for dtype in dtypes]
             self._framebuffer = self._context.gl.framebuffer(self._textures)
-        if self._instances.size < 4 * INSTANCE_INTS * count:
-            release_all(*self._vertex_arrays.values())
-            self._vertex_arrays.clear()
-            self._instances.orphan(8 * INSTANCE_INTS * count)
 
     def _variant(self, variant: Variant) -> tuple[moderngl.Program, moderngl.VertexArray]:
         if variant not in self._programs:
             view, maps, ambients = variant
             self._programs[variant] = self._context.program("composite.vert.glsl", "composite.frag.glsl", {
-                **source_defines(self._panorama.kind), "OUTPUT_YUV": int(self._is_yuv), "VIEW": view,
+                **self._panorama.defines, "OUTPUT_YUV": int(self._is_yuv), "VIEW": view,
                 "MAPS": maps, "AMBIENTS": ambients})
         program = self._programs[variant]
         if variant not in self._vertex_arrays:
@@ -133,7 +153,7 @@ class CompositeStage:
             layout = " ".join(part if name in program else part.replace("3i", "12x").replace("4i", "16x")
                               for part, name in zip(("3i", "4i", "4i", "4i"), ("tile", "maps_low", "maps_high", "ambients"),
                                                     strict=True))
-            self._vertex_arrays[variant] = self._context.gl.vertex_array(program, [(self._instances, layout, *names)])
+            self._vertex_arrays[variant] = self._context.gl.vertex_array(program, [(self._points, layout, *names)])
         return program, self._vertex_arrays[variant]
 
     def _constants(self, maps: list[Touched], ambient: list[Touched], ground: GroundLight | None) -> dict[str, object]:
@@ -156,9 +176,9 @@ class CompositeStage:
         return values | {"ground_y": ground.y, "ground_irradiance": tuple(ground.total), "light_on_ground": lights,
                          "map_rect": rects[0], "map_cell": rects[1], "ambient_rect": rects[2], "ambient_cell": rects[3]}
 
-    def _draw(self, batches: list[tuple[int, int, NDArray[np.int32]]], drawn: Drawn | None) -> None:
-        for maps, ambients, instances in batches:
-            kind = NO_VIEW if drawn is None else PERSPECTIVE if drawn[0].cube_axis < 0 else CUBE_FACE
+    def _draw(self, batches: list[Batch], drawn: Drawn | None) -> None:
+        kind = NO_VIEW if drawn is None else PERSPECTIVE if drawn[0].cube_axis < 0 else CUBE_FACE
+        for (maps, ambients), first, count in batches:
             variant = (kind, maps, ambients)
             program, vertex_array = self._variant(variant)
             self._panorama.bind(program)
@@ -167,10 +187,7 @@ class CompositeStage:
                 set_uniforms(program, self._frame_uniforms)
             if drawn is not None:
                 _bind_view(program, *drawn)
-            self._instances.write(instances)
-            assert self._framebuffer is not None
-            self._framebuffer.use()
-            vertex_array.render(moderngl.POINTS, vertices=len(instances))
+            vertex_array.render(moderngl.POINTS, vertices=count, first=first)
 
     def _read(self, count: int, attachment: int) -> NDArray[np.generic]:
         """(count, fragments, fragments, 4) tiles of the atlas."""
@@ -209,7 +226,7 @@ class CompositeStage:
 
     def release(self) -> None:
         self._release_target()
-        release_all(*self._vertex_arrays.values(), *self._programs.values(), self._instances)
+        release_all(*self._vertex_arrays.values(), *self._programs.values(), self._points)
 
 
 def _bind_view(program: moderngl.Program, view: View, texture: moderngl.Texture, size: tuple[int, int]) -> None:
@@ -224,14 +241,21 @@ def _bind_view(program: moderngl.Program, view: View, texture: moderngl.Texture,
 def _make_plan(views: list[View], maps: list[Touched], ambient: list[Touched], masks: list[TileMask],
                sizes: tuple[int, int]) -> _Plan:
     tiles = np.argwhere(np.logical_or.reduce(masks)) if masks else np.zeros((0, 2), dtype=np.intp)
-    map_lists, ambient_lists = _reached(tiles, maps, MAPS[-1]), _reached(tiles, ambient, AMBIENTS[-1])
-    instances = np.concatenate([tiles[:, ::-1], np.arange(len(tiles))[:, None], map_lists, ambient_lists], axis=1).astype("i4")
-    kinds = _slots(map_lists, MAPS) * 16 + _slots(ambient_lists, AMBIENTS)
+    map_lists, ambient_lists = _reached(tiles, maps, SLOTS[-1][0]), _reached(tiles, ambient, SLOTS[-1][1])
+    rows = np.concatenate([tiles[:, ::-1], np.arange(len(tiles))[:, None], map_lists, ambient_lists], axis=1).astype("i4")
+    kinds = _slots(map_lists, ambient_lists)
     in_views = [view.tiles[tiles[:, 0], tiles[:, 1]] for view in views]
     no_view = ~np.logical_or.reduce(in_views) if in_views else np.ones(len(tiles), dtype=bool)
-    batches = [[(int(kind) // 16, int(kind) % 16, np.ascontiguousarray(instances[chosen & (kinds == kind)]))
-                for kind in np.unique(kinds[chosen])] for chosen in (*in_views, no_view)]
-    return _Plan(tiles, batches, masks, sizes)
+    points: list[NDArray[np.int32]] = [np.zeros((0, POINT_INTS), dtype="i4")]
+    batches: list[list[Batch]] = []
+    first = 0
+    for members in (*in_views, no_view):
+        batches.append([])
+        for kind in np.unique(kinds[members]):
+            points.append(rows[members & (kinds == kind)])
+            batches[-1].append((SLOTS[kind], first, len(points[-1])))
+            first += len(points[-1])
+    return _Plan(tiles, np.concatenate(points), batches, masks, sizes)
 
 
 def _reached(tiles: NDArray[np.intp], touched: list[Touched], most: int) -> NDArray[np.intp]:
@@ -244,10 +268,11 @@ def _reached(tiles: NDArray[np.intp], touched: list[Touched], most: int) -> NDAr
     return np.pad(lists, ((0, 0), (0, most - lists.shape[1])), constant_values=-1)
 
 
-def _slots(lists: NDArray[np.intp], sizes: tuple[int, ...]) -> NDArray[np.intp]:
-    """The smallest of `sizes` that holds each row's entries."""
-    counts = (lists >= 0).sum(axis=1)
-    return np.asarray(np.asarray(sizes, dtype=np.intp)[np.searchsorted(sizes, counts)])
+def _slots(map_lists: NDArray[np.intp], ambient_lists: NDArray[np.intp]) -> NDArray[np.intp]:
+    """The first of SLOTS that holds each row's entries."""
+    maps, ambients = ((lists >= 0).sum(axis=1)[:, None] for lists in (map_lists, ambient_lists))
+    most_maps, most_ambients = np.transpose(SLOTS)
+    return np.asarray(np.argmax((maps <= most_maps) & (ambients <= most_ambients), axis=1))
 
 
 def _scatter(plane: NDArray[np.generic], blocks: NDArray[np.generic], tiles: NDArray[np.intp]) -> None:
@@ -255,12 +280,11 @@ def _scatter(plane: NDArray[np.generic], blocks: NDArray[np.generic], tiles: NDA
     size = blocks.shape[1]
     rows, columns = plane.shape[0] // size, plane.shape[1] // size
     whole = (tiles[:, 0] < rows) & (tiles[:, 1] < columns)
-    grid = plane[:rows * size, :columns * size].reshape(rows, size, columns, size, *plane.shape[2:]).swapaxes(1, 2) \
-        if plane[:rows * size, :columns * size].flags.c_contiguous else None
-    if grid is not None:
-        grid[tiles[whole, 0], tiles[whole, 1]] = blocks[whole]
-    rest = np.flatnonzero(~whole) if grid is not None else np.arange(len(tiles))
-    for index in rest:
+    down, across = plane.strides[:2]
+    grid = np.lib.stride_tricks.as_strided(plane, (rows, columns, size, size, *plane.shape[2:]),
+                                           (down * size, across * size, *plane.strides))
+    grid[tiles[whole, 0], tiles[whole, 1]] = blocks[whole]
+    for index in np.flatnonzero(~whole):
         row, column = tiles[index] * size
         target = plane[row:row + size, column:column + size]
         target[...] = blocks[index][:target.shape[0], :target.shape[1]]

@@ -81,6 +81,14 @@ class Context:
         """Bind a target of our own before another is released: moderngl binds the last one again whenever it makes a new one."""
         self._resting_target.use()
 
+    def start(self) -> None:
+        """Have the driver begin with what has been drawn so far, without waiting for it: glFlush, which moderngl lacks.
+
+        A software renderer begins only when it must, and drawing to another target is such a reason.
+        """
+        self._resting_target.use()
+        self._resting_target.clear()
+
     def collect(self) -> None:
         """Free the GL objects that Python has dropped since the last call; once a frame.
 

@@ -61,9 +61,3 @@ def project(radiance: NDArray[np.floating]) -> Array:
 def irradiance(coefficients: NDArray[np.floating], normal: NDArray[np.floating]) -> Array:
     """Irradiance (..., 3) on (..., 3) unit normals from (25, 3) radiance coefficients. May be slightly negative."""
     return np.asarray((basis(normal) * COSINE_LOBE) @ coefficients)
-
-
-def fourth_band_matters(coefficients: NDArray[np.floating]) -> bool:
-    """Whether leaving out order 4 would change the irradiance by more than 0.5 % rms: its power against the whole."""
-    power = ((COSINE_LOBE[:, None] * coefficients) ** 2).sum(axis=1)
-    return bool(power[BAND == 4].sum() > 0.005**2 * max(float(power.sum()), 1e-30))

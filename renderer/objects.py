@@ -8,7 +8,7 @@ in one with 2 x 2 samples 4 ms.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import moderngl
@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.gl import GL_CLIP_DISTANCE0, Context, release_all, set_uniforms
-from renderer.irradiance import COSINE_LOBE, fourth_band_matters
+from renderer.irradiance import COSINE_LOBE
 from renderer.light_detection import Light
 from renderer.mesh import Mesh, Primitive, Surface
-from renderer.panorama import PanoramaTextures, source_defines
+from renderer.panorama import PanoramaTextures
 from renderer.placement import View
 from renderer.specular import MIN_ROUGHNESS, Array32, dfg_table, quantized_roughness
 
@@ -28,7 +28,7 @@ SAMPLES = 2               # a side of a pixel
 SIZE_STEP = 64            # view targets come in a few sizes, so that moving objects do not allocate
 FIRST_UNIT = 8            # texture units after the panorama's
 BELOW_NOTHING = -1e9
-LIGHT_SLOTS = (0, 1, 2, 4, 8)   # lights: each number has a program of its own, with a constant loop
+LIGHT_SLOTS = (2, 4, 8)   # lights: each number has a program of its own, with a constant loop
 MAX_SURFACES = 512
 NO_TEXTURES: list[moderngl.Texture | None] = [None, None, None]
 MAX_LOBES = 16         # roughness values in one frame; as in shade.frag.glsl
@@ -53,6 +53,15 @@ class PlacedMesh:
     mesh: GpuMesh
     world_from_model: Array
     surface: Surface | None
+
+    @property
+    def surfaces(self) -> list[Surface]:
+        return [self.surface] if self.surface else [part.surface for part in self.mesh.parts]
+
+    @property
+    def may_mirror(self) -> bool:
+        """Whether a part is smooth enough to show the frame itself; a textured one may be."""
+        return self.mesh.is_textured(self.surface) or any(surface.roughness < MIRROR_BELOW for surface in self.surfaces)
 
 
 class GpuMesh:
@@ -108,7 +117,6 @@ class Shading(NamedTuple):
 
     textured: bool
     lights: int
-    fourth_band: bool
     lobes: bool
     mirrors: bool
 
@@ -152,15 +160,14 @@ class ObjectStage:
         self._lobe_atlas = context.texture((1, 1), 4, "f4")
         self._uniforms: dict[str, object] = {}
         self._illumination: Illumination | None = None
-        self._slots = 0
-        self._fourth_band = True
+        self._slots = LIGHT_SLOTS[0]
         self._lobe_cells: dict[float, tuple[float, float, float]] = {}
 
     def _shading_program(self, kind: Shading) -> tuple[moderngl.Program, moderngl.VertexArray]:
         if kind not in self._shading:
             program = self._context.program("full_screen.vert.glsl", "shade.frag.glsl", {
-                **source_defines(self._panorama.kind), "TEXTURED": int(kind.textured), "LIGHTS": kind.lights,
-                "FOURTH_BAND": int(kind.fourth_band), "HAS_LOBES": int(kind.lobes), "HAS_MIRRORS": int(kind.mirrors)})
+                **self._panorama.defines, "TEXTURED": int(kind.textured), "LIGHTS": kind.lights,
+                "HAS_LOBES": int(kind.lobes), "HAS_MIRRORS": int(kind.mirrors)})
             self._shading[kind] = (program, self._context.gl.vertex_array(program, []))
         return self._shading[kind]
 
@@ -180,7 +187,6 @@ class ObjectStage:
             "ground_y": illumination.ground_y or 0.0,
             "has_ground": int(illumination.ground_y is not None),
         }
-        self._fourth_band = fourth_band_matters(illumination.coefficients)
         below = BELOW_NOTHING if illumination.ground_y is None else illumination.ground_y - 1e-4
         for program in self.surface_programs.values():
             set_uniforms(program, {"clip_below_y": below})
@@ -213,20 +219,42 @@ class ObjectStage:
 
     def draw(self, view: View, objects: list[PlacedMesh]) -> tuple[moderngl.Texture, tuple[int, int]]:
         """Draw the view's members. Returns the texture and the part of it, in pixels, that the view fills."""
+        target, kind = self._prepared(view, objects)
+        # what no mirror shows is the same for as long as light and surfaces are
+        if kind.mirrors or target.lit_by is not self._illumination:
+            self._shade(view, target, kind)
+            target.lit_by = self._illumination
+        return target.texture, view.size
+
+    def draw_still(self, views: list[View], objects: list[PlacedMesh]) -> None:
+        """Draw, ahead of the next frame, the views that do not depend on it: those without mirrors."""
+        for view in views:
+            if not self._prepared(view, objects)[1].mirrors:
+                self.draw(view, objects)
+
+    def _prepared(self, view: View, objects: list[PlacedMesh]) -> tuple[_ViewTarget, Shading]:
+        """The view's target with its surfaces drawn, and how they are to be shaded."""
         members = [objects[index] for index in view.members]
         textured = any(item.mesh.is_textured(item.surface) for item in members)
         target = self._target(view, textured)
         if target.view is not view or target.lobe_cells != self._lobe_cells:
             target.roughnesses = self._draw_surfaces(view, members, target, textured)
             target.view, target.lobe_cells, target.lit_by = view, self._lobe_cells, None
-        kind = Shading(textured, self._slots, self._fourth_band,
-                       lobes=bool(self._lobe_cells) and (textured or max(target.roughnesses) >= MIRROR_BELOW),
-                       mirrors=textured or min(target.roughnesses) < MIRROR_BELOW)
-        # what no mirror shows is the same for as long as light and surfaces are
-        if kind.mirrors or target.lit_by is not self._illumination:
-            self._shade(view, target, kind)
-            target.lit_by = self._illumination
-        return target.texture, view.size
+        return target, Shading(textured, self._slots,
+                               lobes=bool(self._lobe_cells) and (textured or max(target.roughnesses) >= MIRROR_BELOW),
+                               mirrors=textured or min(target.roughnesses) < MIRROR_BELOW)
+
+    def compile_variants(self, view: View) -> None:
+        """Shade a view that has been drawn, once with each program that untextured objects may need."""
+        illumination, target = self._illumination, next(t for t in itertools.chain(*self._targets.values()) if t.view is view)
+        if illumination is None:
+            return
+        for slots in LIGHT_SLOTS:
+            self.set_illumination(replace(illumination, lights=illumination.lights[:1] * slots))
+            for lobes, mirrors in ((True, False), (False, True), (True, True)):
+                self._shade(view, target, Shading(False, slots, lobes, mirrors))
+        self.set_illumination(illumination)
+        target.lit_by = None
 
     def keep(self, views: list[View]) -> None:
         """Surfaces of these views stay as drawn until the views are others; the targets of all other views are free."""

@@ -11,11 +11,6 @@ from renderer.gl import Context, release_all, set_uniforms
 from renderer.inverse_tone_mapping import INVERSE_TABLE_SIZE, inverse_gain_table
 
 
-def source_defines(kind: type[Frame]) -> dict[str, int]:
-    """The preprocessor switches of `panorama.glsl` for one kind of frame."""
-    return {"SOURCE_YUV": int(kind is YuvFrame), "SOURCE_RGB8": int(kind is RgbFrame)}
-
-
 class PanoramaTextures:
     """Owns the textures of one source geometry; `write` uploads a frame, `bind` makes it visible to a program."""
 
@@ -41,8 +36,13 @@ class PanoramaTextures:
         self.format = YuvFormat()
         self._bound: dict[int, YuvFormat] = {}
 
+    @property
+    def defines(self) -> dict[str, int]:
+        """The preprocessor switches of `panorama.glsl`."""
+        return {"SOURCE_YUV": int(self.kind is YuvFrame), "SOURCE_RGB8": int(self.kind is RgbFrame), "PACKED": self.packed}
+
     def write(self, frame: Frame, *, only_packed: bool = False) -> None:
-        """Upload; `only_packed` leaves out what compositing needs and the reduction does not.
+        """Upload; `only_packed` leaves out the planes where there are packed ones: only mirrors interpolate in them.
 
         Raises ValueError when the frame's size is not that of the textures.
         """

@@ -8,12 +8,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
 from renderer.color import srgb_from_linear
-from renderer.composite import CompositeStage, GroundLight, Touched
+from renderer.composite import CompositeStage, DrawView, GroundLight, Touched
 from renderer.frame import Frame, RadianceFrame, RgbFrame, YuvFrame, check_size
 from renderer.gl import Context, release_all
 from renderer.gltf import GltfError, transform
@@ -29,11 +28,12 @@ from renderer.placement import TILE, TileMask, View, plan_views, touched_tiles
 from renderer.radiance_map import RadianceMapStage, packed_pixels
 from renderer.scene import Scene, SceneObject
 from renderer.shadows import ShadowMap, ShadowStage, world_points
-from renderer.specular import prefilter_all, quantized_roughness
+from renderer.specular import prefilter_all, quantized_roughness, resample
 
 Array = NDArray[np.float64]
 UP = np.array([0.0, 1.0, 0.0])
 MIN_CAMERA_DISTANCE_M = 0.05
+SMALL_ROWS = 64             # of the residual for spherical harmonics and prefiltering, which use no more
 MIN_GROUND_SHARE = 0.02    # of the ground's irradiance; weaker lights cast no visible shadow
 
 
@@ -56,9 +56,11 @@ class Timings:
 
 @dataclass(frozen=True)
 class FrameLight:
-    """The light of one frame: lights and residual, and the residual's (25, 3) spherical harmonics."""
+    """The light of one frame: lights and residual, the residual at the size that its smooth uses need, and its (25, 3)
+    spherical harmonics."""
 
     detection: Detection
+    small_residual: NDArray[np.float32]
     coefficients: Array
 
 
@@ -69,6 +71,17 @@ class Placement:
     objects: dict[str, PlacedMesh]
     views: list[View]
     errors: dict[str, str]
+
+
+@dataclass(frozen=True)
+class _Lit:
+    """A placement under a light: what the ground receives, and the tiles of every shadow."""
+
+    light: FrameLight
+    placement: Placement
+    ground: GroundLight | None
+    maps: list[Touched]
+    ambient: list[Touched]
 
 
 @dataclass(frozen=True)
@@ -96,8 +109,7 @@ class Pipeline:
         self._composite = CompositeStage(context, self._panorama)
         self._meshes = MeshLibrary(lambda mesh: GpuMesh(context, self._objects.surface_programs, mesh), assets, mesh_root)
         self._tracker = LightTracker()
-        self._last_light: FrameLight | None = None
-        self._lit_by: tuple[FrameLight, Placement] | None = None
+        self._lit: _Lit | None = None
         self._shadow_tiles: dict[tuple[ShadowMap, float], TileMask] = {}
         self._last_placement: tuple[Scene, dict[str, float], Placement] | None = None
 
@@ -109,37 +121,57 @@ class Pipeline:
             self._panorama.use()
         return self._light(timings), timings
 
-    def render(self, frame: Frame, scene: Scene, *, reuse_light: bool = False) -> Rendered:
+    def render(self, frame: Frame, scene: Scene, *, light: FrameLight | None = None, output: YuvFrame | None = None) -> Rendered:
         """Composite the scene into the frame. The frame's own arrays stay as they are.
 
-        `reuse_light` takes the light of the last frame for this one's: the first thing to give up under load.
+        `light` is that of an earlier frame, to light this one by; without it, it is read from this one first. `output` are
+        planes to write into, for a YuvFrame; without them there are new ones.
         """
         self._context.assert_own_thread()
         check_size(frame)
         timings = Timings()
         visible = [item for item in scene.objects if item.visible]
-        with timings.stage("upload"):
-            self._panorama.write(frame, only_packed=not visible)
-            self._panorama.use()
-        light = self._last_light if reuse_light and self._last_light is not None else self._light(timings)
-        if not visible:
-            return Rendered(frame, light, 0.0, timings, {})
         with timings.stage("place"):
             placement = self._placement(scene, visible)
-        with timings.stage("glossy"):
-            self._objects.keep(placement.views)
-            if self._lit_by is None or self._lit_by[0] is not light or self._lit_by[1] is not placement:
-                self._objects.set_illumination(self._illumination(scene, light, list(placement.objects.values())))
-                self._lit_by = (light, placement)
-        with timings.stage("shadows"):
-            ground = self._ground_light(scene, light)
-            maps, ambient = self._cast(scene, placement.objects, light, ground) if ground else ([], [])
-        touched = self._run_composite(placement, maps, ambient, ground, timings)
+        with timings.stage("upload"):
+            self._panorama.write(frame, only_packed=not any(item.may_mirror for item in placement.objects.values()))
+            self._panorama.use()
+        if light is None:
+            light = self._light(timings)
+        if not visible:
+            return Rendered(frame if output is None else _copied(frame, output), light, 0.0, timings, {})
+        lit = self._light_scene(scene, light, placement, timings)
+        with timings.stage("objects_and_composite"):
+            draw_view = self._drawing(placement)
+            touched = self._composite.run(placement.views, draw_view, lit.maps, lit.ambient, lit.ground, self._shadows)
+            self._context.start()   # while the planes are being copied
         with timings.stage("write"):
-            output = self._write(frame, touched)
+            composited = self._write(frame, touched, output)
         self._context.collect()
         fraction = len(touched) * TILE * TILE / (self._size[0] * self._size[1])
-        return Rendered(output, light, fraction, timings, placement.errors)
+        return Rendered(composited, light, fraction, timings, placement.errors)
+
+    def read_light(self) -> tuple[FrameLight, Timings]:
+        """The light of the frame that was rendered last."""
+        timings = Timings()
+        return self._light(timings), timings
+
+    def prepare(self, light: FrameLight) -> Timings:
+        """Do now what the next frame would need first to be lit by this light, if its scene is that of the last frame."""
+        timings = Timings()
+        if self._last_placement is not None:
+            scene, _, placement = self._last_placement
+            self._light_scene(scene, light, placement, timings)
+            with timings.stage("objects_and_composite"):
+                self._objects.draw_still(placement.views, list(placement.objects.values()))
+                self._context.gl.finish()
+        return timings
+
+    def compile_variants(self) -> None:
+        """Have the driver compile every program that usual scenes need, now. After a frame with a light and an object."""
+        if self._lit is not None:
+            self._objects.compile_variants(self._lit.placement.views[0])
+            self._composite.compile_variants()
 
     def _light(self, timings: Timings) -> FrameLight:
         with timings.stage("radiance_map"):
@@ -148,8 +180,9 @@ class Pipeline:
             detection = detect(radiance_map)
             detection = Detection(self._tracker.update(detection.lights), detection.residual, detection.threshold)
         with timings.stage("irradiance"):
-            self._last_light = FrameLight(detection, project(detection.residual))
-        return self._last_light
+            residual = detection.residual.astype(np.float32)
+            small = resample(residual, SMALL_ROWS, 2 * SMALL_ROWS) if residual.shape[0] > SMALL_ROWS else residual
+            return FrameLight(detection, small, project(small))
 
     def _placement(self, scene: Scene, visible: list[SceneObject]) -> Placement:
         """Where the scene's objects stand; kept until the scene or a model's file changes."""
@@ -183,13 +216,18 @@ class Pipeline:
                     errors[item.id] = f"animation {item.animation.clip!r} of object {item.id!r} is not played yet"
         return placed, errors
 
-    def _illumination(self, scene: Scene, light: FrameLight, objects: list[PlacedMesh]) -> Illumination:
-        surfaces = [surface for item in objects
-                    for surface in ([item.surface] if item.surface else [part.surface for part in item.mesh.parts])]
-        wanted = {quantized_roughness(s.roughness) for s in surfaces if s.roughness >= MIRROR_BELOW}
-        residual = light.detection.residual
-        return Illumination(light.coefficients, light.detection.lights, prefilter_all(residual, wanted),
-                            -scene.camera_height if scene.ground.catcher else None)
+    def _light_scene(self, scene: Scene, light: FrameLight, placement: Placement, timings: Timings) -> _Lit:
+        """What follows from light and placement together; kept until one of them is another."""
+        if self._lit is not None and self._lit.light is light and self._lit.placement is placement:
+            return self._lit
+        with timings.stage("glossy"):
+            self._objects.keep(placement.views)
+            self._objects.set_illumination(_illumination(scene, light, list(placement.objects.values())))
+        with timings.stage("shadows"):
+            ground = self._ground_light(scene, light)
+            maps, ambient = self._cast(scene, placement.objects, light, ground) if ground else ([], [])
+        self._lit = _Lit(light, placement, ground, maps, ambient)
+        return self._lit
 
     def _ground_light(self, scene: Scene, light: FrameLight) -> GroundLight | None:
         if not scene.ground.catcher:
@@ -224,23 +262,15 @@ class Pipeline:
         self._shadow_tiles = tiles
         return [Touched(shadow, tiles[(shadow, ground_y)]) for shadow in shadows]
 
-    def _run_composite(self, placement: Placement, maps: list[Touched], ambient: list[Touched], ground: GroundLight | None,
-                       timings: Timings) -> NDArray[np.intp]:
+    def _drawing(self, placement: Placement) -> DrawView:
         objects = list(placement.objects.values())
+        return lambda view: self._objects.draw(view, objects)
 
-        def draw_view(view: View) -> tuple[moderngl.Texture, tuple[int, int]]:
-            return self._objects.draw(view, objects)
-
-        with timings.stage("objects_and_composite"):
-            tiles = self._composite.run(placement.views, draw_view, maps, ambient, ground, self._shadows)
-            self._context.gl.finish()
-        return tiles
-
-    def _write(self, frame: Frame, tiles: NDArray[np.intp]) -> Frame:
+    def _write(self, frame: Frame, tiles: NDArray[np.intp], output: YuvFrame | None) -> Frame:
         if isinstance(frame, YuvFrame):
-            output = frame.copy()
-            self._composite.write_yuv(output, tiles)
-            return output
+            composited = _copied(frame, output)
+            self._composite.write_yuv(composited, tiles)
+            return composited
         radiance, touched = self._composite.touched_radiance(tiles, frame)
         if isinstance(frame, RadianceFrame):
             return RadianceFrame(np.where(touched[..., None], radiance, frame.rgb))
@@ -250,12 +280,27 @@ class Pipeline:
     def reset(self) -> None:
         """Forget the lights of earlier frames."""
         self._tracker = LightTracker()
-        self._last_light = None
 
     def release(self) -> None:
         self._context.rest()
         self._meshes.release()
         release_all(self._composite, self._shadows, self._objects, self._radiance, self._panorama)
+
+
+def _copied(frame: Frame, output: YuvFrame | None) -> YuvFrame:
+    assert isinstance(frame, YuvFrame)
+    if output is None:
+        return frame.copy()
+    for target, source in ((output.y, frame.y), (output.u, frame.u), (output.v, frame.v)):
+        np.copyto(target, source)
+    return output
+
+
+def _illumination(scene: Scene, light: FrameLight, objects: list[PlacedMesh]) -> Illumination:
+    surfaces = [surface for item in objects for surface in item.surfaces]
+    wanted = {quantized_roughness(s.roughness) for s in surfaces if s.roughness >= MIRROR_BELOW}
+    return Illumination(light.coefficients, light.detection.lights, prefilter_all(light.small_residual, wanted),
+                        -scene.camera_height if scene.ground.catcher else None)
 
 
 def _surface(item: SceneObject, mesh: GpuMesh) -> Surface | None:

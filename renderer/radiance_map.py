@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from renderer.frame import Frame, YuvFrame
 from renderer.gl import Context, release_all, set_uniforms
-from renderer.panorama import PanoramaTextures, source_defines
+from renderer.panorama import PanoramaTextures
 
 TARGET_WIDTH = 256
 
@@ -57,7 +57,7 @@ class RadianceMapStage:
         whole = all(count * texels * side == frame for count, frame, texels, side in
                     zip(counts, panorama.size, self.size, cell, strict=True))
         columns, rows = counts if whole else (0, 0)
-        defines = {**source_defines(panorama.kind), "PACKED": packed, "COLUMNS": columns, "ROWS": rows}
+        defines = {**panorama.defines, "COLUMNS": columns, "ROWS": rows}
         self._program = context.program("full_screen.vert.glsl", "radiance_map.frag.glsl", defines)
         self.texture = context.texture(self.size, 4, "f4", wrap_x=True)
         self._target = context.gl.framebuffer([self.texture])

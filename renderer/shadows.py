@@ -8,7 +8,7 @@ objects hide of the residual depends on geometry alone, so it is kept until an o
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from weakref import WeakKeyDictionary
 
 import moderngl
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from renderer.equirectangular import uv_from_direction
 from renderer.gl import GL_CLIP_DISTANCE0, Context, release_all, set_uniforms
 from renderer.light_detection import Light
-from renderer.objects import PlacedMesh
+from renderer.objects import GpuMesh, PlacedMesh
 
 Array = NDArray[np.float64]
 CELL = 128                 # texels a side of one light's shadow map
@@ -113,7 +113,7 @@ class ShadowStage:
         self._depth = [gl.depth_renderbuffer(size), gl.depth_renderbuffer(ambient_size)]
         self._target = gl.framebuffer([self.atlas], self._depth[0])
         self._ambient_target = gl.framebuffer(self.transfer, self._depth[1])
-        self._proxies: dict[int, tuple[PlacedMesh, Any, list[Any]]] = {}
+        self._proxies: WeakKeyDictionary[GpuMesh, tuple[list[moderngl.Buffer], list[moderngl.VertexArray]]] = WeakKeyDictionary()
         self._ambient: dict[str, tuple[bytes, ShadowMap]] = {}
         self._lights: dict[tuple[str, int], _KeptShadow] = {}
         self._weighed: tuple[list[ShadowMap], bytes] | None = None
@@ -242,18 +242,17 @@ class ShadowStage:
         gl.enable_only(moderngl.NOTHING)
 
     def _proxy(self, placed: PlacedMesh) -> list[moderngl.VertexArray]:
-        key = id(placed.mesh)
-        if key not in self._proxies:
+        if placed.mesh not in self._proxies:
             points, triangles = placed.mesh.mesh.proxy
             buffers = [self._gl.buffer(points.astype("f4").tobytes()), self._gl.buffer(triangles.astype("i4").tobytes())]
             arrays = [self._gl.vertex_array(program, [(buffers[0], "3f", "position")], index_buffer=buffers[1],
                                             index_element_size=4)
                       for program in (self._light_program, self._ambient_program)]
-            self._proxies[key] = (placed, buffers, arrays)
-        return self._proxies[key][2]
+            self._proxies[placed.mesh] = (buffers, arrays)
+        return self._proxies[placed.mesh][1]
 
     def release(self) -> None:
-        for _, buffers, arrays in self._proxies.values():
+        for buffers, arrays in self._proxies.values():
             release_all(*arrays, *buffers)
         release_all(self._missing_target, self._missing_triangle, self._missing_program, self.ambient_atlas)
         release_all(self._target, self._ambient_target, self.atlas, *self.transfer, *self._depth, self._light_program,

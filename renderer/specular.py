@@ -17,6 +17,7 @@ from renderer.equirectangular import solid_angles
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
+Floats = NDArray[np.floating]
 MIN_ROUGHNESS = 0.2     # a narrower lobe is nearer to a mirror than to any map this small
 ROUGHNESS_STEP = 1 / 128
 DFG_SIZE = 64
@@ -34,15 +35,15 @@ def map_rows(roughness: float) -> int:
     return next((rows for rows in (16, 32, 64) if np.pi / rows <= 0.8 * alpha), 64) if alpha > 0 else 64
 
 
-def ggx_lobe(cos_angle: NDArray[np.floating], roughness: float) -> Array:
+def ggx_lobe(cos_angle: Floats, roughness: float) -> Floats:
     """Unnormalised weight of light at an angle from the mirror direction for N = V: D(h) N.L with h half-way."""
     alpha2 = roughness**4
-    cos_half2 = 0.5 * (1.0 + np.asarray(cos_angle, dtype=np.float64))
+    cos_half2 = 0.5 * (1.0 + cos_angle)
     denominator = 1.0 + cos_half2 * (alpha2 - 1.0)
     return np.asarray(np.maximum(cos_angle, 0.0) / (denominator * denominator))
 
 
-def prefilter_all(radiance: Array, roughnesses: set[float]) -> dict[float, Array32]:
+def prefilter_all(radiance: Floats, roughnesses: set[float]) -> dict[float, Array32]:
     """Prefiltered maps for each of these roughness values; smaller maps are made from the next larger one."""
     lobes, source = {}, radiance
     for roughness in sorted(roughnesses):
@@ -53,7 +54,7 @@ def prefilter_all(radiance: Array, roughnesses: set[float]) -> dict[float, Array
     return lobes
 
 
-def prefilter(radiance: Array, roughness: float) -> Array32:
+def prefilter(radiance: Floats, roughness: float) -> Array32:
     """(height, width, 3) map to (rows, 2 rows, 3) radiance as a GGX lobe of that roughness sees it."""
     rows = map_rows(roughness)
     small = radiance if radiance.shape[:2] == (rows, 2 * rows) else resample(radiance, rows, 2 * rows)
@@ -68,32 +69,31 @@ def prefilter(radiance: Array, roughness: float) -> Array32:
 def _kernel(roughness: float, rows: int) -> Array32:
     """(frequencies, rows out, rows in) real spectrum over azimuth of the normalised, solid-angle weighted lobe."""
     columns = 2 * rows
-    offsets = (np.arange(_SUBSAMPLES) + 0.5) / _SUBSAMPLES
-    theta_out = (np.arange(rows) + 0.5) / rows * np.pi
-    kernel = np.zeros((rows, rows, columns))
+    offsets = (np.arange(_SUBSAMPLES, dtype=np.float32) + 0.5) / _SUBSAMPLES
+    theta_out = ((np.arange(rows, dtype=np.float32) + 0.5) / rows * np.pi)[:, None, None]
+    half = np.zeros((rows, rows, rows + 1), dtype=np.float32)   # the kernel is even in azimuth
     for row_offset in offsets:
-        theta_in = (np.arange(rows) + row_offset) / rows * np.pi
+        theta_in = ((np.arange(rows, dtype=np.float32) + row_offset) / rows * np.pi)[None, :, None]
+        along, across = np.cos(theta_out) * np.cos(theta_in), np.sin(theta_out) * np.sin(theta_in)
         for column_offset in offsets:
-            azimuth = (np.arange(columns) + column_offset - 0.5) / columns * 2 * np.pi
-            cosine = (np.cos(theta_out)[:, None, None] * np.cos(theta_in)[None, :, None]
-                      + np.sin(theta_out)[:, None, None] * np.sin(theta_in)[None, :, None] * np.cos(azimuth))
-            kernel += ggx_lobe(cosine, roughness) * np.sin(theta_in)[None, :, None]
+            azimuth = (np.arange(rows + 1, dtype=np.float32) + column_offset - 0.5) / columns * 2 * np.pi
+            half += ggx_lobe(along + across * np.cos(azimuth), roughness) * np.sin(theta_in)
+    kernel = np.concatenate([half, half[:, :, -2:0:-1]], axis=2)
     kernel /= kernel.sum(axis=(1, 2), keepdims=True)
-    spectrum = np.fft.rfft(kernel, axis=2).real  # the kernel is even in azimuth
-    return np.ascontiguousarray(spectrum.transpose(2, 0, 1), dtype=np.float32)
+    return np.ascontiguousarray(np.fft.rfft(kernel, axis=2).real.transpose(2, 0, 1), dtype=np.float32)
 
 
-def resample(radiance: Array, rows: int, columns: int) -> Array:
-    """Area-weighted, solid-angle-true resampling of a map to any smaller size; total power is kept exactly."""
+def resample(radiance: Floats, rows: int, columns: int) -> Floats:
+    """Area-weighted, solid-angle-true resampling of a map to any smaller size; total power is kept to the type's accuracy."""
     height, width = radiance.shape[:2]
-    power = radiance * solid_angles(height, width)[..., None]
+    power = radiance * solid_angles(height, width)[..., None].astype(radiance.dtype)
     if height % rows == 0 and width % columns == 0:
         power = power.reshape(rows, height // rows, width * 3).sum(axis=1)
         power = power.reshape(rows, columns, width // columns, 3).sum(axis=2)
     else:
-        power = (_overlap(height, rows) @ power.reshape(height, -1)).reshape(rows, width, 3)
-        power = _overlap(width, columns) @ power
-    return np.asarray(power / solid_angles(rows, columns)[..., None])
+        power = (_overlap(height, rows).astype(power.dtype) @ power.reshape(height, -1)).reshape(rows, width, 3)
+        power = _overlap(width, columns).astype(power.dtype) @ power
+    return np.asarray(power / solid_angles(rows, columns)[..., None].astype(power.dtype))
 
 
 @lru_cache(maxsize=16)

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from aiortc import RTCRtpSender, rtcrtpsender
+from aiortc import RTCRtpSender, rtcrtpreceiver, rtcrtpsender
+from aiortc.codecs.base import Decoder
+from aiortc.rtcrtpparameters import RTCRtpCodecParameters
 
 # NACKed packets older than the history are not sent again. aiortc keeps 128, which is 44 ms at 30 Mbps and less than
 # one keyframe of a panorama. A power of two, so that the slots go on when the 16 bit sequence number wraps.
@@ -43,3 +45,14 @@ def on_keyframe_request(sender: RTCRtpSender, request: Callable[[], None]) -> No
     if "_send_keyframe" not in RTCRtpSender._handle_rtcp_packet.__code__.co_names:
         raise RuntimeError("aiortc's RTCRtpSender has changed, expected version 1.16")
     vars(sender)["_send_keyframe"] = request
+
+
+def decode_with(make_decoder: Callable[[RTCRtpCodecParameters], Decoder]) -> None:
+    """Have every receiver of this process use decoders of that making.
+
+    Raises:
+        RuntimeError: aiortc's receiver has changed.
+    """
+    if "get_decoder" not in rtcrtpreceiver.decoder_worker.__code__.co_names:
+        raise RuntimeError("aiortc's decoder_worker has changed, expected version 1.16")
+    vars(rtcrtpreceiver)["get_decoder"] = make_decoder

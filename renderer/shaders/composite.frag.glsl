@@ -142,7 +142,7 @@ void main() {
     vec3 missing_residual = missing_ambient(centre);    // smooth: once for four pixels
     ivec2 first = min(first_pixel + in_tile, frame_size - 2);
     vec4 luma = block_luma(first);
-    vec2 chroma = vec2(texelFetch(u_plane, first >> 1, 0).r, texelFetch(v_plane, first >> 1, 0).r);
+    vec2 chroma = block_chroma(first);
     vec2 left = vec2(near.sine.x, near.cosine.x), right = vec2(far.sine.x, far.cosine.x);
     vec2 upper = vec2(near.sine.y, near.cosine.y), lower = vec2(far.sine.y, far.cosine.y);
     vec3 upper_left = composited_yuv(left, upper, missing_residual, vec3(luma.x, chroma));

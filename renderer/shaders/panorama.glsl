@@ -6,6 +6,15 @@ uniform sampler2D luma_plane;      // R8
 uniform sampler2D u_plane;         // R8, half size
 uniform sampler2D v_plane;
 uniform mat4x3 rgb_from_yuv;       // codes / 255 to R'G'B'
+#if PACKED
+// The same planes with PACKED pixels of luma (8 or 4) and half as many of chroma a texel: a fetch costs about as much as one
+// of a single sample.
+uniform usampler2D packed_luma;
+uniform usampler2D packed_u;
+uniform usampler2D packed_v;
+
+vec4 codes(uint four) { return vec4(four & 255u, (four >> 8) & 255u, (four >> 16) & 255u, four >> 24) * (1.0 / 255.0); }
+#endif
 #else
 uniform sampler2D rgb_plane;       // RGBA8 display signal, or RGBA32F radiance
 #endif
@@ -16,11 +25,30 @@ vec3 radiance_from_signal(vec3 signal) {
 }
 
 #if SOURCE_YUV
-// Luma codes of 2 x 2 pixels by rows; `first` is even.
+// Luma codes / 255 of 2 x 2 pixels by rows, and their chroma; `first` is even.
+#if PACKED
+vec4 block_luma(ivec2 first) {
+    ivec2 texel = ivec2(first.x / PACKED, first.y);
+    uvec2 upper = texelFetch(packed_luma, texel, 0).rg, lower = texelFetch(packed_luma, texel + ivec2(0, 1), 0).rg;
+    uvec2 rows = PACKED == 8 && (first.x & 4) != 0 ? uvec2(upper.y, lower.y) : uvec2(upper.x, lower.x);
+    rows >>= uint(first.x & 2) * 8u;
+    return vec4(rows.x & 255u, (rows.x >> 8) & 255u, rows.y & 255u, (rows.y >> 8) & 255u) * (1.0 / 255.0);
+}
+
+vec2 block_chroma(ivec2 first) {
+    ivec2 texel = ivec2(first.x / PACKED, first.y >> 1);
+    uint shift = uint((first.x >> 1) & (PACKED / 2 - 1)) * 8u;
+    uvec2 chroma = uvec2(texelFetch(packed_u, texel, 0).r, texelFetch(packed_v, texel, 0).r);
+    return vec2((chroma >> shift) & 255u) * (1.0 / 255.0);
+}
+#else
 vec4 block_luma(ivec2 first) {
     return vec4(texelFetch(luma_plane, first, 0).r, texelFetch(luma_plane, first + ivec2(1, 0), 0).r,
                 texelFetch(luma_plane, first + ivec2(0, 1), 0).r, texelFetch(luma_plane, first + ivec2(1, 1), 0).r);
 }
+
+vec2 block_chroma(ivec2 first) { return vec2(texelFetch(u_plane, first >> 1, 0).r, texelFetch(v_plane, first >> 1, 0).r); }
+#endif
 #endif
 
 // The exact value of one pixel; chroma is that of its 2x2 block, so that writing it back is lossless.

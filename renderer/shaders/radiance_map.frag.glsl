@@ -10,13 +10,6 @@ out vec4 texel;
 const float CLIPPED = 0.985;   // of the display signal
 
 #if PACKED
-// PACKED pixels of luma (8 or 4) and half as many of chroma a texel: a fetch costs about the same as one of a single sample.
-uniform usampler2D packed_luma;
-uniform usampler2D packed_u;
-uniform usampler2D packed_v;
-
-vec4 codes(uint four) { return vec4(four & 255u, (four >> 8) & 255u, (four >> 16) & 255u, four >> 24) * (1.0 / 255.0); }
-
 // Decoding without roots and without the branch for the toe, within 0.7 % of (value + 0.02): enough for a mean of light.
 #define DECODED(s) ((s) * ((s) * ((s) * ((s) * ((s) * 0.84252675 - 1.90690802) + 1.80608963) + 0.19945037) + 0.06561054))
 

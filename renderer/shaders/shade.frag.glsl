@@ -17,11 +17,9 @@ uniform vec4 view_bounds;               // left, bottom, width, height on the ta
 uniform vec2 view_size;
 
 uniform vec3 irradiance_sh[25];         // A_l L_lm
-#if LIGHTS
 uniform vec3 light_direction[LIGHTS];
 uniform vec3 light_irradiance[LIGHTS];  // 0 for an unused entry
 uniform float light_radius[LIGHTS];
-#endif
 uniform sampler2D lobe_atlas;           // maps prefiltered for each roughness in use, lights taken out
 uniform vec4 lobe[MAX_LOBES];           // roughness; u scale, v offset, v scale in the atlas
 uniform float lobe_border;              // u of the first column
@@ -34,15 +32,13 @@ uniform int has_ground;
 
 out vec4 radiance;
 
-// Bands 0, 1, 2 and 4 (the third carries no irradiance), or without the fourth where it is small. Constants as in
-// renderer/irradiance.py.
+// Bands 0, 1, 2 and 4; the third carries no irradiance. Constants as in renderer/irradiance.py.
 vec3 sh_irradiance(vec3 n) {
     float x = n.x, y = n.y, z = n.z, x2 = x * x, y2 = y * y, z2 = z * z;
     vec3 e = 0.2820947918 * irradiance_sh[0]
         + 0.4886025119 * (y * irradiance_sh[1] + z * irradiance_sh[2] + x * irradiance_sh[3])
         + 1.0925484306 * (x * y * irradiance_sh[4] + y * z * irradiance_sh[5] + x * z * irradiance_sh[7])
         + 0.3153915653 * (3.0 * z2 - 1.0) * irradiance_sh[6] + 0.5462742153 * (x2 - y2) * irradiance_sh[8];
-#if FOURTH_BAND
     e += 2.5033429418 * x * y * (x2 - y2) * irradiance_sh[16] + 1.7701307698 * y * z * (3.0 * x2 - y2) * irradiance_sh[17]
         + 0.9461746958 * x * y * (7.0 * z2 - 1.0) * irradiance_sh[18]
         + 0.6690465436 * y * z * (7.0 * z2 - 3.0) * irradiance_sh[19]
@@ -51,7 +47,6 @@ vec3 sh_irradiance(vec3 n) {
         + 0.4730873479 * (x2 - y2) * (7.0 * z2 - 1.0) * irradiance_sh[22]
         + 1.7701307698 * x * z * (x2 - 3.0 * y2) * irradiance_sh[23]
         + 0.6258357354 * (x2 * (x2 - 3.0 * y2) - y2 * (3.0 * x2 - y2)) * irradiance_sh[24];
-#endif
     return max(e, 0.0);
 }
 
@@ -121,7 +116,6 @@ vec3 shade(Surface s, vec3 view, vec3 reflected, vec3 step_x, vec3 step_y) {
 #endif
     vec3 glossy = reflectance * mirrored;
     vec3 e = sh_irradiance(s.normal);
-#if LIGHTS
     for (int i = 0; i < LIGHTS; ++i) {
         vec3 l = light_direction[i], h = normalize(l + view);
         float n_dot_l = max(dot(s.normal, l), 0.0), away = 1.0 - clamp(dot(view, h), 0.0, 1.0), away2 = away * away;
@@ -132,7 +126,6 @@ vec3 shade(Surface s, vec3 view, vec3 reflected, vec3 step_x, vec3 step_y) {
         // what a mirror shows of the light is in the frame already
         glossy += mirror ? vec3(0.0) : light_irradiance[i] * fresnel * compensation * (n_dot_l * spread);
     }
-#endif
     return s.color * (1.0 - s.metallic) * (1.0 - reflectance) * e / PI + glossy + s.emissive;
 }
 

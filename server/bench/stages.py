@@ -22,12 +22,12 @@ from av.video.frame import VideoFrame
 
 from renderer.frame import YuvFrame
 from renderer.gl import Context, GLUnavailableError
-from renderer.pipeline import Pipeline
+from renderer.pipeline import Pipeline, Timings
 from renderer.scene import Scene
 from server.demo.clip import demo_clip
 from server.demo.sample_scene import sample_scene
 from server.worker.encode import Composited, Encoder, default_bitrate
-from server.worker.picture import PictureReader
+from server.worker.picture import FramePool, PictureReader
 from server.worker.render_loop import warm_up
 from server.worker.statistics import percentiles
 
@@ -51,8 +51,9 @@ class _Samples:
         self.wall.setdefault(name, []).append((time.perf_counter() - wall) * 1e3)
         self.processor.setdefault(name, []).append((time.process_time() - processor) * 1e3)
 
-    def add(self, name: str, milliseconds: float) -> None:
-        self.wall.setdefault(name, []).append(milliseconds)
+    def add_stages(self, timings: Timings) -> None:
+        for name, milliseconds in timings.stages.items():
+            self.wall.setdefault(f"  {name}", []).append(milliseconds)
 
     def as_json(self) -> dict[str, Any]:
         return {name: {"wall_ms": percentiles(values), "processor_ms": percentiles(self.processor.get(name, []))}
@@ -93,15 +94,20 @@ def _run(context: Context, clip: Path, scene: Scene, size: tuple[int, int], fps:
     warm_up(pipeline, size)
     reader = PictureReader(size)
     encoder = Encoder(size, fps, default_bitrate(*size), bt709=True, full_range=False)
-    samples = _Samples()
+    samples, pool, light = _Samples(), FramePool(size), None
     for index, frame in enumerate(_decoded(clip, count + WARM_UP_FRAMES, samples)):
         picture = reader.read(frame)
+        output, video = pool.take(picture.format)
         with samples.row("render"):
-            rendered = pipeline.render(picture, scene)
-        for stage, milliseconds in rendered.timings.stages.items():
-            samples.add(f"  {stage}", milliseconds)
-        assert isinstance(rendered.frame, YuvFrame)
-        item = Composited(rendered.frame, index, index * 90_000 // fps, 0.0, 0.0)
+            rendered = pipeline.render(picture, scene, light=light, output=output)
+        samples.add_stages(rendered.timings)
+        with samples.row("read light"):
+            light, timings = pipeline.read_light()
+        samples.add_stages(timings)
+        with samples.row("prepare light"):
+            timings = pipeline.prepare(light)
+        samples.add_stages(timings)
+        item = Composited(output, video, index, index * 90_000 // fps, 0.0, 0.0)
         with samples.row("encode"):
             encoder.encode(item, keyframe=False)
         if index + 1 == WARM_UP_FRAMES:

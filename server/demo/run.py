@@ -108,7 +108,7 @@ def _measure(watch: _Watch, base: str, duration: float, children: dict[str, Chil
     lines: list[dict[str, Any]] = [{"frames": 0}]
     reader = threading.Thread(target=_keep_newest, args=(children["viewer"], lines), daemon=True)
     reader.start()
-    watch.until("picture in the viewer", lambda: lines[0]["frames"] > 0, READY_WITHIN_S)
+    watch.until("picture in the viewer", lambda: lines[0].get("keyframes", 0) > 0, READY_WITHIN_S)
     started = time.monotonic()
     watch.pause(SETTLING_S)
     samples = []

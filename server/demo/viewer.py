@@ -1,8 +1,9 @@
-"""A viewer without a screen: joins a stream over WHEP, receives RTP and decodes every frame.
+"""A viewer without a screen: joins a stream over WHEP, receives every frame and decodes the keyframes.
 
 `python -m server.demo.viewer WHEP_URL` runs until SIGINT or SIGTERM and writes one JSON object a line on stdout:
-`{"state", "frames", "width", "height", "timestamp", "time"}`, with `state` the peer connection's, `frames` decoded so
-far, `timestamp` the newest frame's RTP time since the first one (90 kHz) and `time` the monotonic clock in seconds.
+`{"state", "frames", "keyframes", "width", "height", "timestamp", "time"}`, with `state` the peer connection's, `frames` whole
+ones received so far, `keyframes` those decoded, `timestamp` the newest frame's RTP time since the first one (90 kHz) and
+`time` the monotonic clock in seconds.
 """
 
 from __future__ import annotations
@@ -29,6 +30,9 @@ from aiortc import (
 )
 from aiortc.mediastreams import MediaStreamError
 
+from server.aiortc_hooks import decode_with
+from server.demo.keyframe_decoder import KeyframeDecoder
+
 REQUEST_LIMIT_S = 10.0
 REPORT_EVERY_S = 0.5
 
@@ -41,9 +45,10 @@ class Viewer:
     """One WHEP session."""
 
     def __init__(self, url: str) -> None:
-        self.frames = 0
+        self.keyframes = 0
         self.size = (0, 0)
-        self.timestamp: int | None = None
+        self._decoder = KeyframeDecoder()
+        decode_with(lambda _codec: self._decoder)
         self._url = url
         self._session_url: str | None = None
         self._receiving: asyncio.Task[None] | None = None
@@ -82,8 +87,8 @@ class Viewer:
             raise ViewerError(f"the connection is {self.state}")
 
     def progress(self) -> dict[str, Any]:
-        return {"state": self.state, "frames": self.frames, "width": self.size[0], "height": self.size[1],
-                "timestamp": self.timestamp, "time": time.monotonic()}
+        return {"state": self.state, "frames": self._decoder.units, "keyframes": self.keyframes, "width": self.size[0],
+                "height": self.size[1], "timestamp": self._decoder.timestamp, "time": time.monotonic()}
 
     def _on_track(self, track: MediaStreamTrack) -> None:
         self._receiving = asyncio.create_task(self._receive(track))
@@ -93,8 +98,8 @@ class Viewer:
             while True:
                 frame = await track.recv()
                 assert isinstance(frame, av.VideoFrame)
-                self.frames += 1
-                self.size, self.timestamp = (frame.width, frame.height), frame.pts
+                self.keyframes += 1
+                self.size = (frame.width, frame.height)
 
 
 def _post_offer(url: str, offer: str) -> tuple[str, str]:

@@ -10,23 +10,24 @@ from fractions import Fraction
 
 import av
 from av.video.codeccontext import VideoCodecContext
-from av.video.frame import PictureType
+from av.video.frame import PictureType, VideoFrame
 
 from renderer.frame import YuvFrame
 from server.worker.newest import Newest
-from server.worker.picture import video_frame
 
 CLOCK_RATE = 90_000
 KEYFRAME_INTERVAL_S = 2.0
+FINEST_QP = 16           # finer steps would spend what is left of the bitrate on the camera's noise
 SINGLE_THREAD_PIXELS = 2300 * 1150
 MIN_KEYFRAME_DISTANCE_S = 0.5      # between two keyframes on request
 
 
 @dataclass(frozen=True)
 class Composited:
-    """A picture on its way to the encoder; `timestamp` is in units of 1 / 90000 s."""
+    """A picture on its way to the encoder; `timestamp` is in units of 1 / 90000 s, `video` the frame that the planes lie in."""
 
     picture: YuvFrame
+    video: VideoFrame
     frame: int
     timestamp: int
     decoded_at: float
@@ -62,12 +63,13 @@ class Encoder:
         context.color_trc = 1 if bt709 else 6
         context.color_range = 2 if full_range else 1
         context.options = {"preset": "ultrafast", "tune": "zerolatency", "profile": "baseline", "forced-idr": "1",
-                           "maxrate": str(bitrate_bps), "bufsize": str(bitrate_bps // 4), "x264-params": "scenecut=0"}
+                           "maxrate": str(bitrate_bps), "bufsize": str(bitrate_bps // 4),
+                           "x264-params": f"scenecut=0:qpmin={FINEST_QP}"}
         self._context = context
 
     def encode(self, item: Composited, *, keyframe: bool) -> list[tuple[bytes, bool]]:
         """Access units in Annex B and whether each is a keyframe."""
-        frame = video_frame(item.picture)
+        frame = item.video
         frame.pts = item.timestamp
         frame.time_base = Fraction(1, CLOCK_RATE)
         frame.pict_type = PictureType.I if keyframe else PictureType.NONE

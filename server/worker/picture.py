@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import weakref
+from collections import deque
 from fractions import Fraction
 
 import av
@@ -81,15 +83,41 @@ def _plane(frame: VideoFrame, index: int) -> NDArray[np.uint8]:
     return np.frombuffer(memoryview(plane), np.uint8).reshape(plane.height, plane.line_size)[:, :plane.width]
 
 
+class FramePool:
+    """Pictures whose planes are those of an FFmpeg frame, which the encoder takes without a copy.
+
+    A frame is used again as soon as nobody holds its picture any more; new ones are made only while all are held.
+    """
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self._size = size
+        self._free: deque[VideoFrame] = deque()
+
+    def take(self, layout: YuvFormat) -> tuple[YuvFrame, VideoFrame]:
+        """A picture of any content, and the frame that it lies in."""
+        try:
+            video = self._free.pop()
+        except IndexError:
+            video = VideoFrame(*self._size, "yuv420p")
+        picture = YuvFrame(_plane(video, 0), _plane(video, 1), _plane(video, 2), layout)
+        weakref.finalize(picture, self._free.append, video).atexit = False
+        _tag(video, layout)
+        return picture, video
+
+
 def video_frame(picture: YuvFrame) -> VideoFrame:
     """A new FFmpeg frame with the picture's planes and tags."""
     width, height = picture.size
     frame = VideoFrame(width, height, "yuv420p")
     for index, plane in enumerate((picture.y, picture.u, picture.v)):
         _plane(frame, index)[...] = plane
-    frame.colorspace = 1 if picture.format.matrix == "bt709" else 6
-    frame.color_range = _JPEG if picture.format.full_range else _MPEG
+    _tag(frame, picture.format)
     return frame
+
+
+def _tag(frame: VideoFrame, layout: YuvFormat) -> None:
+    frame.colorspace = 1 if layout.matrix == "bt709" else 6
+    frame.color_range = _JPEG if layout.full_range else _MPEG
 
 
 def encode_jpeg(picture: YuvFrame) -> bytes:

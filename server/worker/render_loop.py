@@ -20,11 +20,11 @@ from renderer.scene import Scene
 from server.worker.encode import Composited, EncodeThread
 from server.worker.ingest import Ingest
 from server.worker.light_message import light_message
-from server.worker.load_control import LoadControl
+from server.worker.light_schedule import PREPARE, READ, LightSchedule
 from server.worker.messages import Message
 from server.worker.newest import Newest
 from server.worker.output_clock import OutputClock
-from server.worker.picture import PictureError, PictureReader, encode_jpeg, output_size, picture_flags
+from server.worker.picture import FramePool, PictureError, PictureReader, encode_jpeg, output_size, picture_flags
 from server.worker.source import Decoded, SourceInfo
 from server.worker.statistics import RollingStatistics
 
@@ -33,6 +33,8 @@ HEARTBEAT_S = 0.5
 STEP_ALLOWANCE_S = 1.5    # the main thread counts as alive for this long after each step of its loop,
 SCENE_ALLOWANCE_S = 6.0   # for this long after a new scene, whose models it may have to load,
 OPEN_ALLOWANCE_S = 25.0   # and for this long while the driver compiles the shaders of a new geometry
+BURST_S = 0.04            # of two frames that come within this time, both are rendered
+BOTH_STEPS_SLACK = 0.4   # of the time between two frames must be left to take both steps towards the next light in one
 REPEAT_AFTER_S = 0.4      # without a new frame, the last one is rendered again so that edits of the scene are seen
 REPEAT_INTERVAL_S = 0.1
 Send = Callable[[Message, bytes], None]
@@ -52,16 +54,19 @@ class RenderLoop:
         self._revision = int(start.get("revision", 0))
         self._rendered_revision = -1
         self._viewers = self._light_clients = 0
-        self.frames: Newest[Decoded] = Newest()
+        self.frames: Newest[Decoded] = Newest(BURST_S)
         self._encode = EncodeThread(self._on_packet)
         self._encode.set_bitrate(start.get("bitrate_bps"))
         self._clock = OutputClock(int(start.get("timestamp", 0)))
         self._statistics = RollingStatistics()
-        self._load = LoadControl()
+        self._schedule = LightSchedule()
+        self._light: FrameLight | None = None       # that frames are lit by
+        self._next_light: FrameLight | None = None  # read, but not prepared yet
         self._ingest: Ingest | None = None
         self._frames_in_before = 0
         self._pipeline: Pipeline | None = None
         self._reader: PictureReader | None = None
+        self._pool: FramePool | None = None
         self._last: tuple[YuvFrame, Decoded] | None = None
         self._newest_composite: YuvFrame | None = None
         self._frame_number = 0
@@ -193,7 +198,7 @@ class RenderLoop:
             self._report_state(source="lost", detail=str(error))
             return False
         self._allow(OPEN_ALLOWANCE_S)
-        self._reader = PictureReader(size)
+        self._reader, self._pool = PictureReader(size), FramePool(size)
         self._pipeline = Pipeline(self._context, YuvFrame, size, assets=self._assets)
         warm_up(self._pipeline, size)
         self._report_state(output={"width": size[0], "height": size[1], "bitrate_bps": self._encode.bitrate(size)})
@@ -202,24 +207,52 @@ class RenderLoop:
     def _render(self, picture: YuvFrame, decoded: Decoded, started: float, timestamp: int) -> None:
         assert self._pipeline is not None
         if self._viewers:
-            reuse = self._load.reuse_light(self._frame_number, self.frames.dropped + self._encode.pictures.dropped)
-            rendered = self._pipeline.render(picture, self._scene, reuse_light=reuse)
-            light, timings, self._errors = rendered.light, rendered.timings, rendered.errors
-            assert isinstance(rendered.frame, YuvFrame)
-            self._newest_composite = rendered.frame
-            self._statistics.touched_fraction = rendered.touched_fraction
+            self._composite(picture, decoded, started, timestamp)
         else:
-            light, timings = self._pipeline.analyse(picture)
-        render_ms = (time.perf_counter() - started) * 1e3
+            self._light, timings = self._pipeline.analyse(picture)
+            self._statistics.add((time.perf_counter() - started) * 1e3, timings.stages)
+            self._send_lights(self._light, decoded, timestamp)
         self._rendered += 1
         self._rendered_revision = self._revision
         self._last_render = time.monotonic()
-        self._statistics.add(render_ms, timings.stages)
-        if self._viewers:
-            assert self._newest_composite is not None
-            self._encode.pictures.put(Composited(self._newest_composite, self._frame_number, timestamp, decoded.decoded_at,
-                                                 render_ms, timings.stages))
-        self._send_lights(light, decoded, timestamp)
+
+    def _composite(self, picture: YuvFrame, decoded: Decoded, started: float, timestamp: int) -> None:
+        """Composite the picture and hand it to the encoder; then read its light, for the next one."""
+        assert self._pipeline is not None
+        assert self._pool is not None
+        light = None if self._schedule.is_cut(picture) else self._light
+        output, video = self._pool.take(picture.format)
+        rendered = self._pipeline.render(picture, self._scene, light=light, output=output)
+        render_ms = (time.perf_counter() - started) * 1e3
+        stages, self._errors = rendered.timings.stages, rendered.errors
+        self._encode.pictures.put(Composited(output, video, self._frame_number, timestamp, decoded.decoded_at, render_ms, stages))
+        self._newest_composite, self._light = output, rendered.light
+        self._statistics.touched_fraction = rendered.touched_fraction
+        if light is None:
+            self._next_light = None
+            self._send_lights(rendered.light, decoded, timestamp)
+        else:
+            stages = stages | self._follow_light(decoded, timestamp)
+        self._statistics.add(render_ms, stages)
+
+    def _follow_light(self, decoded: Decoded, timestamp: int) -> dict[str, float]:
+        """Read the light of the frame that has just been rendered, as far as there is time. Returns the stages' times."""
+        assert self._pipeline is not None
+        stages: dict[str, float] = {}
+        interval_s = 1 / self._encode.fps
+        due_at = decoded.decoded_at + interval_s
+        if self._next_light is None and self._schedule.has_time(READ, due_at):
+            self._next_light, timings = self._pipeline.read_light()
+            self._schedule.took(READ, timings.total / 1e3)
+            self._send_lights(self._next_light, decoded, timestamp)
+            stages |= timings.stages
+            due_at -= BOTH_STEPS_SLACK * interval_s
+        if self._next_light is not None and self._schedule.has_time(PREPARE, due_at):
+            timings = self._pipeline.prepare(self._next_light)
+            self._schedule.took(PREPARE, timings.total / 1e3)
+            self._light, self._next_light = self._next_light, None
+            stages |= timings.stages
+        return stages
 
     def _send_lights(self, light: FrameLight, decoded: Decoded, timestamp: int) -> None:
         message = light_message(light, stream=self._stream, frame=self._frame_number, pts=decoded.pts,
@@ -268,7 +301,7 @@ class RenderLoop:
             "render_ms": self._statistics.render_ms(), "stages_ms": self._statistics.stages_ms(),
             "touched_fraction": round(self._statistics.touched_fraction, 5),
             "cpu_seconds": round(usage.ru_utime + usage.ru_stime, 3), "scene_revision": self._rendered_revision,
-            "environment_interval": self._load.environment_interval,
+            "light_interval": round(self._schedule.mean_interval, 2),
             "scene_errors": self._errors, "discontinuities": self._clock.discontinuities}, b"")
 
     def close(self) -> None:
@@ -293,9 +326,7 @@ def warm_up(pipeline: Pipeline, size: tuple[int, int]) -> None:
         {"id": "warm-up-1", "mesh": "box", "position": [0, -1.1, -3], "material": {"roughness": 0.5}},
         {"id": "warm-up-2", "mesh": "sphere", "position": [3, -1.1, 0], "material": {"metallic": 1, "roughness": 0}},
         {"id": "warm-up-3", "mesh": "sphere", "position": [0.7, -1.1, -3], "material": {"roughness": 0.3}}]
-    dark = YuvFrame(np.full_like(grey.y, 126), grey.u, grey.v)  # without a light
-    for frame in (grey, dark):
-        for count in (1, 2, 3):
-            pipeline.render(frame, Scene.model_validate({"objects": objects[:count]}))
+    pipeline.render(grey, Scene.model_validate({"objects": objects}))
+    pipeline.compile_variants()
     pipeline.render(grey, Scene())
     pipeline.reset()

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import known_panorama
 import pytest
 from browser_page import chromium_page
 from headless_viewer import HeadlessViewer
 from media_servers import NginxRtmp, Publisher, RtspServer
-from playwright.sync_api import Page
+from PIL import Image
+from playwright.sync_api import Browser, Page
 from running_service import Service
+from viewer_page import chromium
 
 from server.demo.clip import demo_clip
 
@@ -98,6 +101,32 @@ def viewer(tmp_path: Path) -> Iterator[Callable[[str], HeadlessViewer]]:
     yield start
     for one in started:
         one.process.kill()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """A headless Chromium for all tests of a module."""
+    with chromium() as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def known_source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A panorama whose colour is known in every direction; see known_panorama."""
+    source = tmp_path_factory.mktemp("source") / "known.png"
+    Image.fromarray(known_panorama.picture()).save(source)
+    return source
+
+
+@pytest.fixture(scope="module")
+def known_service(known_source: Path) -> Iterator[Service]:
+    """The service with that panorama as its stream `live`."""
+    running = Service(known_source.parent, "--source", str(known_source))
+    try:
+        running.wait_ready()
+        yield running
+    finally:
+        running.stop()
 
 
 @pytest.fixture

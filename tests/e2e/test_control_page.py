@@ -14,7 +14,7 @@ from PIL import Image
 from playwright.sync_api import Browser, Page
 from processes import wait_for
 from running_service import Service
-from viewer_page import chromium, wait_until
+from viewer_page import wait_until
 
 pytestmark = pytest.mark.e2e
 
@@ -25,23 +25,13 @@ WITHIN_S = 20.0
 
 
 @pytest.fixture(scope="module")
-def known_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    folder = tmp_path_factory.mktemp("source")
+def known_source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The known panorama with a lamp in it."""
+    source = tmp_path_factory.mktemp("source") / "known.png"
     picture = Image.fromarray(known_panorama.picture()).resize((1024, 512))
-    picture.paste((255, 255, 255), (700, 100, 720, 120))       # a lamp
-    picture.save(folder / "known.png")
-    running = Service(folder, "--source", str(folder / "known.png"))
-    try:
-        running.wait_ready()
-        yield running
-    finally:
-        running.stop()
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with chromium() as running:
-        yield running
+    picture.paste((255, 255, 255), (700, 100, 720, 120))
+    picture.save(source)
+    return source
 
 
 @pytest.fixture

@@ -10,11 +10,10 @@ from pathlib import Path
 import known_panorama
 import pytest
 from media_servers import NginxRtmp, Publisher
-from PIL import Image
 from playwright.sync_api import Browser, Page
 from processes import Process
 from running_service import Service
-from viewer_page import chromium, wait_playing, wait_until
+from viewer_page import wait_playing, wait_until
 
 pytestmark = pytest.mark.e2e
 
@@ -31,29 +30,6 @@ READ_CENTER = """
   return [...color.slice(0, 3)];
 }
 """
-
-
-@pytest.fixture(scope="module")
-def known_source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    source = tmp_path_factory.mktemp("source") / "known.png"
-    Image.fromarray(known_panorama.picture()).save(source)
-    return source
-
-
-@pytest.fixture(scope="module")
-def known_service(known_source: Path) -> Iterator[Service]:
-    running = Service(known_source.parent, "--source", str(known_source))
-    try:
-        running.wait_ready()
-        yield running
-    finally:
-        running.stop()
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with chromium() as running:
-        yield running
 
 
 @pytest.fixture

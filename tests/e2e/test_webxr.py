@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import known_panorama
 import pytest
-from PIL import Image
 from playwright.sync_api import Browser, Page
 from processes import PROJECT
 from running_service import Service
 from scipy.spatial.transform import Rotation
-from viewer_page import chromium, wait_playing, wait_until
+from viewer_page import wait_playing, wait_until
 
 pytestmark = pytest.mark.e2e
 
@@ -85,24 +83,6 @@ class HeadPose:
 POSES = [HeadPose(0, 0, 0), HeadPose(100, 25, 0), HeadPose(-165, -35, 20)]
 
 
-@pytest.fixture(scope="module")
-def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    source = tmp_path_factory.mktemp("source") / "known.png"
-    Image.fromarray(known_panorama.picture()).save(source)
-    running = Service(source.parent, "--source", str(source))
-    try:
-        running.wait_ready()
-        yield running
-    finally:
-        running.stop()
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with chromium() as running:
-        yield running
-
-
 def pixels(page: Page, points: list[tuple[int, int]]) -> list[list[int]]:
     colors: list[list[int]] = page.evaluate(READ_PIXELS, points)["colors"]
     return colors
@@ -157,8 +137,8 @@ def mismatches(page: Page, pose: HeadPose) -> tuple[list[str], int, int]:
 
 
 @pytest.mark.parametrize("path", ["draw", "layer"])
-def test_both_eyes_show_the_panorama(browser: Browser, service: Service, path: str) -> None:
-    page = open_viewer(browser, service, layers=path == "layer")
+def test_both_eyes_show_the_panorama(browser: Browser, known_service: Service, path: str) -> None:
+    page = open_viewer(browser, known_service, layers=path == "layer")
     try:
         enter_vr(page, path)
         for pose in POSES:
@@ -173,8 +153,8 @@ def test_both_eyes_show_the_panorama(browser: Browser, service: Service, path: s
 
 
 @pytest.mark.parametrize("layers", [False, True])
-def test_leaving_vr_returns_to_the_page(browser: Browser, service: Service, layers: bool) -> None:
-    page = open_viewer(browser, service, layers=layers)
+def test_leaving_vr_returns_to_the_page(browser: Browser, known_service: Service, layers: bool) -> None:
+    page = open_viewer(browser, known_service, layers=layers)
     try:
         enter_vr(page, "layer" if layers else "draw")
         page.evaluate("mr360.viewer.immersive.exit()")
@@ -187,8 +167,8 @@ def test_leaving_vr_returns_to_the_page(browser: Browser, service: Service, laye
         page.context.close()
 
 
-def test_a_video_paused_by_entering_plays_again(browser: Browser, service: Service) -> None:
-    page = open_viewer(browser, service, layers=False, before="""
+def test_a_video_paused_by_entering_plays_again(browser: Browser, known_service: Service) -> None:
+    page = open_viewer(browser, known_service, layers=False, before="""
         const request = navigator.xr.requestSession;
         navigator.xr.requestSession = async function (...options) {
           document.getElementById('video').pause();   // what Vision Pro does
@@ -201,8 +181,8 @@ def test_a_video_paused_by_entering_plays_again(browser: Browser, service: Servi
         page.context.close()
 
 
-def test_a_recentred_headset_sees_forward(browser: Browser, service: Service) -> None:
-    page = open_viewer(browser, service, layers=False)
+def test_a_recentred_headset_sees_forward(browser: Browser, known_service: Service) -> None:
+    page = open_viewer(browser, known_service, layers=False)
     try:
         enter_vr(page, "draw")
         set_pose(page, HeadPose(130, 0, 0), (0.5, 1.6, 0.5))
@@ -215,8 +195,8 @@ def test_a_recentred_headset_sees_forward(browser: Browser, service: Service) ->
 
 
 @pytest.mark.parametrize("path", ["draw", "layer"])
-def test_the_wearer_is_told_what_the_page_tells(browser: Browser, service: Service, path: str) -> None:
-    page = open_viewer(browser, service, layers=path == "layer", before=SHARE_CONTEXT if path == "layer" else "")
+def test_the_wearer_is_told_what_the_page_tells(browser: Browser, known_service: Service, path: str) -> None:
+    page = open_viewer(browser, known_service, layers=path == "layer", before=SHARE_CONTEXT if path == "layer" else "")
     try:
         enter_vr(page, path)
         set_pose(page, POSES[1], (0.0, 1.6, 0.0))
@@ -238,8 +218,8 @@ def test_the_wearer_is_told_what_the_page_tells(browser: Browser, service: Servi
         page.context.close()
 
 
-def test_a_denied_session_is_told(browser: Browser, service: Service) -> None:
-    page = open_viewer(browser, service, layers=False, before="""
+def test_a_denied_session_is_told(browser: Browser, known_service: Service) -> None:
+    page = open_viewer(browser, known_service, layers=False, before="""
         navigator.xr.requestSession = () => Promise.reject(new DOMException('no', 'NotAllowedError'));""")
     try:
         page.click("#vr")
@@ -251,8 +231,8 @@ def test_a_denied_session_is_told(browser: Browser, service: Service) -> None:
         page.context.close()
 
 
-def test_a_layer_that_fails_is_drawn_instead(browser: Browser, service: Service) -> None:
-    page = open_viewer(browser, service, layers=True, before="""
+def test_a_layer_that_fails_is_drawn_instead(browser: Browser, known_service: Service) -> None:
+    page = open_viewer(browser, known_service, layers=True, before="""
         XRMediaBinding.prototype.createEquirectLayer = () => { throw new Error('no equirect layers here'); };
         """)
     try:
@@ -264,11 +244,11 @@ def test_a_layer_that_fails_is_drawn_instead(browser: Browser, service: Service)
         page.context.close()
 
 
-def test_without_a_headset_the_button_is_off_and_says_why(browser: Browser, service: Service) -> None:
+def test_without_a_headset_the_button_is_off_and_says_why(browser: Browser, known_service: Service) -> None:
     context = browser.new_context(viewport={"width": WIDTH, "height": HEIGHT})
     try:
         page = context.new_page()
-        page.goto(f"{service.url}/view/live")
+        page.goto(f"{known_service.url}/view/live")
         wait_playing(page)
         page.wait_for_selector("#vr-note:visible", timeout=WAIT_MS)
         assert "headset" in page.inner_text("#vr-note") or "WebXR" in page.inner_text("#vr-note")

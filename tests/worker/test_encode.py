@@ -8,13 +8,15 @@ import pytest
 
 from renderer.color import YuvFormat
 from server.worker.encode import Composited, Encoder, EncodeThread, default_bitrate
+from server.worker.picture import video_frame
 from tests.renderer.frames import noise_frame, yuv_from_linear
 
 
 def composited(size: tuple[int, int], number: int, layout: YuvFormat | None = None) -> Composited:
     width, height = size
     ramp = np.broadcast_to(np.linspace(0, 1, width)[None, :, None], (height, width, 3))
-    return Composited(yuv_from_linear(np.roll(ramp, number, axis=1), layout), number, number * 3000, time.monotonic(), 0.0)
+    picture = yuv_from_linear(np.roll(ramp, number, axis=1), layout)
+    return Composited(picture, video_frame(picture), number, number * 3000, time.monotonic(), 0.0)
 
 
 def test_the_bitrate_follows_the_geometry() -> None:
@@ -95,6 +97,9 @@ def test_a_change_of_bitrate_or_size_needs_no_new_thread() -> None:
 def test_noise_at_full_size_stays_near_the_bitrate() -> None:
     size = (1024, 512)
     encoder = Encoder(size, 30, 4_000_000, bt709=True, full_range=False)
-    sizes = [sum(len(payload) for payload, _ in encoder.encode(
-        Composited(noise_frame(size, seed), seed, seed * 3000, 0.0, 0.0), keyframe=False)) for seed in range(30)]
+    sizes = []
+    for seed in range(30):
+        picture = noise_frame(size, seed)
+        units = encoder.encode(Composited(picture, video_frame(picture), seed, seed * 3000, 0.0, 0.0), keyframe=False)
+        sizes.append(sum(len(payload) for payload, _ in units))
     assert sum(sizes[5:]) * 8 / (25 / 30) < 3 * 4_000_000

@@ -8,7 +8,16 @@ from av.video.frame import VideoFrame
 from PIL import Image
 
 from renderer.color import YuvFormat
-from server.worker.picture import PictureError, PictureReader, encode_jpeg, output_size, picture_flags, video_frame, yuv_format
+from server.worker.picture import (
+    FramePool,
+    PictureError,
+    PictureReader,
+    encode_jpeg,
+    output_size,
+    picture_flags,
+    video_frame,
+    yuv_format,
+)
 from tests.renderer.frames import noise_frame, yuv_from_linear
 
 
@@ -60,3 +69,19 @@ def test_a_jpeg_shows_the_colours(layout: YuvFormat) -> None:
         pixels = np.asarray(image.convert("RGB")).astype(int)
     assert pixels[30, 30] == pytest.approx([203, 63, 63], abs=4)
     assert pixels[30, 100] == pytest.approx([63, 124, 218], abs=4)
+
+
+def test_a_pooled_frame_is_used_again_when_its_picture_is_dropped_and_not_before() -> None:
+    pool = FramePool((1000, 500))    # lines longer than the picture is wide
+    first, first_video = pool.take(YuvFormat("bt601", True))
+    second, second_video = pool.take(YuvFormat())
+    assert first_video is not second_video
+    first.y[:], second.y[:] = 7, 9
+    assert (first.y.shape, first.u.shape) == ((500, 1000), (250, 500))
+    assert (first_video.to_ndarray()[:500] == 7).all(), "the planes are the frame's own"
+    del first
+    third, third_video = pool.take(YuvFormat())
+    assert third_video is first_video
+    assert third.size == (1000, 500)
+    assert (second.y == 9).all()
+    assert yuv_format(third_video) == YuvFormat()

@@ -3,11 +3,13 @@ from __future__ import annotations
 import threading
 import time
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from server.worker.load_control import LoadControl
+from renderer.frame import YuvFrame
+from server.worker.light_schedule import PREPARE, READ, LightSchedule
 from server.worker.newest import Newest
 from server.worker.output_clock import CLOCK_RATE, MIN_STEP, OutputClock
 
@@ -53,38 +55,61 @@ def test_the_output_clock_never_goes_back(steps: list[tuple[float | None, float]
         last = ticks
 
 
-def test_under_load_the_light_is_read_less_often_and_again_when_there_is_room() -> None:
+def grey_picture(luma: int) -> YuvFrame:
+    return YuvFrame(np.full((128, 256), luma, np.uint8), *(np.full((64, 128), 128, np.uint8),) * 2)
+
+
+def test_light_is_read_after_every_frame_while_there_is_time() -> None:
     now = [0.0]
-    control = LoadControl(clock=lambda: now[0])
-
-    def share_reused(seconds: float, drops_per_s: float) -> float:
-        nonlocal dropped
-        reused = 0
-        frames = int(seconds * 30)
-        for frame in range(frames):
-            now[0] += 1 / 30
-            dropped += drops_per_s / 30
-            reused += control.reuse_light(frame, int(dropped))
-        return reused / frames
-
-    dropped = 0.0
-    assert share_reused(5, 0) == 0
-    share_reused(0.5, 5)
-    assert control.environment_interval == 2
-    share_reused(2, 5)
-    assert control.environment_interval == 4
-    assert share_reused(2, 5) == pytest.approx(0.75, abs=0.02)
-    share_reused(12, 0)
-    assert control.environment_interval == 1
+    schedule = LightSchedule(clock=lambda: now[0])
+    assert schedule.is_cut(grey_picture(90)), "there is no light yet"
+    for luma in (90, 91, 92, 90):
+        assert not schedule.is_cut(grey_picture(luma))
+        now[0] = 10.010
+        for step in (READ, PREPARE):
+            assert schedule.has_time(step, due_at=10.033)
+            schedule.took(step, 0.010)
+            now[0] += 0.010
+    assert schedule.mean_interval == 1
 
 
-def test_an_attempt_that_fails_is_repeated_ever_more_rarely() -> None:
-    now, dropped, attempts = [0.0], 0, 0
-    control = LoadControl(clock=lambda: now[0])
-    for frame in range(60 * 30):
-        now[0] += 1 / 30
-        before = control.environment_interval
-        dropped += before == 1
-        control.reuse_light(frame, dropped)
-        attempts += before == 2 and control.environment_interval == 1
-    assert 2 <= attempts <= 5
+def test_after_a_cut_the_light_is_read_first() -> None:
+    schedule = LightSchedule()
+    schedule.is_cut(grey_picture(90))
+    assert schedule.is_cut(grey_picture(120))
+    assert not schedule.is_cut(grey_picture(121))
+
+
+def test_without_time_a_step_is_taken_every_third_frame() -> None:
+    now = [10.020]
+    schedule = LightSchedule(clock=lambda: now[0])
+    schedule.is_cut(grey_picture(90))
+    schedule.took(READ, 0.020)
+    taken = []
+    for _ in range(9):
+        schedule.is_cut(grey_picture(90))
+        taken.append(schedule.has_time(READ, due_at=10.033))
+        if taken[-1]:
+            schedule.took(READ, 0.020)
+    assert taken == [False, False, True] * 3
+    now[0] = 10.010
+    schedule.is_cut(grey_picture(90))
+    assert schedule.has_time(READ, due_at=10.033)
+
+
+def test_two_values_of_one_burst_are_both_delivered() -> None:
+    slot: Newest[int] = Newest(patience_s=0.5)
+    for value in range(3):
+        slot.put(value)
+    assert (slot.take(0), slot.take(0), slot.take(0), slot.dropped) == (1, 2, None, 1)
+
+
+def test_a_value_that_has_waited_too_long_gives_way_to_a_newer_one() -> None:
+    slot: Newest[int] = Newest(patience_s=0.02)
+    slot.put(1)
+    slot.put(2)
+    time.sleep(0.03)
+    assert (slot.take(0), slot.take(0), slot.dropped) == (2, None, 1)
+    slot.put(3)
+    time.sleep(0.03)
+    assert slot.take(0) == 3, "without a newer one it is not lost"
