@@ -159,7 +159,7 @@ class Pipeline:
     def prepare(self, light: FrameLight) -> Timings:
         """Do now what the next frame would need first to be lit by this light, if its scene is that of the last frame."""
         timings = Timings()
-        if self._last_placement is not None:
+        if self._last_placement is not None and self._last_placement[2].objects:
             scene, _, placement = self._last_placement
             self._light_scene(scene, light, placement, timings)
             with timings.stage("objects_and_composite"):
