@@ -4,8 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 ARGS ?=
 PYTEST_ARGS ?=
+MAPS ?=
 
-.PHONY: help demo test lint check-python check-web e2e setup setup-test lock clean
+.PHONY: help demo test lint check-python check-web e2e bench bench-light setup setup-test lock clean
 
 help: ## show the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 16
@@ -45,6 +46,12 @@ $(VENV)/.test-ready: $(VENV)/.run-ready requirements-dev.lock package-lock.json
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements-dev.lock
 	@npm ci --silent --no-audit --no-fund
 	@touch $@
+
+bench: setup ## what each stage of the frame path costs; ARGS="--quick --json FILE"
+	$(BIN)/mr360 bench $(ARGS)
+
+bench-light: setup ## the light stages against their references; MAPS=FOLDER measures its radiance maps too
+	$(BIN)/python -m server.bench.light $(MAPS)
 
 lock: setup-test ## resolve the dependencies of pyproject.toml anew
 	$(BIN)/python -m pip install --quiet uv

@@ -61,3 +61,13 @@ def project(radiance: NDArray[np.floating]) -> Array:
 def irradiance(coefficients: NDArray[np.floating], normal: NDArray[np.floating]) -> Array:
     """Irradiance (..., 3) on (..., 3) unit normals from (25, 3) radiance coefficients. May be slightly negative."""
     return np.asarray((basis(normal) * COSINE_LOBE) @ coefficients)
+
+
+def disc_cosine(cosine: NDArray[np.floating], angular_radius: float) -> Array:
+    """Mean of max(0, cosine) over a disc of that radius whose centre has that cosine with the normal.
+
+    Exact while the disc is wholly above or below the horizon; in between a parabola that meets both smoothly.
+    """
+    c = np.asarray(cosine, dtype=np.float64)
+    s = max(float(np.sin(angular_radius)), 1e-6)
+    return np.where(c >= s, c, np.where(c <= -s, 0.0, (c + s) ** 2 / (4 * s)))

@@ -1,45 +1,138 @@
-"""Light identity over time: a light keeps its id from frame to frame for as long as it lives."""
+"""Lights over time: stable ids, no flicker, no switching for reasons that are not the light's own.
+
+When the whole frame becomes brighter or darker, so do the lights at once: that is the camera's exposure. A light is born
+when it has been seen above the gate for a few frames, and dies when it falls below a lower one; both fade, by moving energy
+between the light and the residual, so that their sum is the map's in every frame. One that has vanished from the map is gone
+at once: there is no energy left to fade.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from renderer.inverse_tone_mapping import WEIGHTS
-from renderer.light_detection import Light
+from renderer.light_detection import MAX_LIGHTS, MIN_CONTRIBUTION, Candidate, Detection, Found, Light
+from renderer.light_sources import Source
 
+Array = NDArray[np.float64]
 MAX_STEP = np.radians(15.0)   # a light that jumps further between two frames is another one
+BIRTH_FRAMES = 3              # above the gate, before a light is believed
+DEATH_CONTRIBUTION = 0.4 * MIN_CONTRIBUTION
+FADE_S = 0.25
+SMOOTHING_S = 0.3             # time constant of power and, for small changes, of direction
+CLIPPED_SMOOTHING_S = 3.0     # of the power of lights that the camera clips
+FOLLOW_ANGLE = np.radians(0.25)   # a change of direction that is motion and not noise
+DEFAULT_STEP_S = 1 / 30
+EXPOSURE_STEP = 13             # texels; prime to the row length, so that the samples spread
+
+
+@dataclass
+class _Track:
+    id: int
+    light: Light                # smoothed
+    source: Source              # in the newest frame
+    seen: int = 1               # frames in a row
+    presence: float = 0.0       # 0: all of it is in the residual, 1: none
+    dying: bool = False
 
 
 class LightTracker:
-    """Gives every light the id of the nearest one of the last frame, by angle and log power."""
+    """Feed it every frame's candidates. `reset` at a cut."""
 
     def __init__(self) -> None:
-        self._last: tuple[Light, ...] = ()
+        self._tracks: list[_Track] = []
         self._next_id = 1
+        self._moment: float | None = None
+        self._is_new = True
+        self._luminance: Array | None = None
 
-    def update(self, lights: tuple[Light, ...]) -> tuple[Light, ...]:
-        """The same lights with ids."""
-        matches = self._match(lights)
-        identified = []
-        for index, light in enumerate(lights):
-            if index in matches:
-                identity = self._last[matches[index]].id
-            else:
-                identity = self._next_id
-                self._next_id += 1
-            identified.append(replace(light, id=identity))
-        self._last = tuple(identified)
-        return self._last
+    def reset(self) -> None:
+        """The next frame has nothing to do with the last one: its lights are there at once."""
+        self._tracks = []
+        self._is_new = True
+        self._moment = self._luminance = None
 
-    def _match(self, lights: tuple[Light, ...]) -> dict[int, int]:
-        if not lights or not self._last:
+    def update(self, found: Found, moment: float | None = None) -> Detection:
+        """Lights and residual of a frame shown at `moment` seconds (None: a thirtieth of a second after the last one)."""
+        step = self._step(moment)
+        self._expose(found)
+        matches = self._match(found.candidates)
+        survivors = []
+        for index, track in enumerate(self._tracks):
+            candidate = found.candidates[matches[index]] if index in matches else found.again(track.source)
+            if candidate is not None and (index in matches or candidate.contribution > DEATH_CONTRIBUTION):
+                self._follow(track, candidate, step)
+                survivors.append(track)
+        taken = set(matches.values())
+        new = [candidate for index, candidate in enumerate(found.candidates)
+               if index not in taken and candidate.contribution > MIN_CONTRIBUTION]
+        # a light that is there keeps its place: where there are too many, the choice must not change from frame to frame
+        survivors += [self._begin(candidate) for candidate in new[:MAX_LIGHTS - len(survivors)]]
+        self._tracks = [track for track in survivors if track.presence > 0.0 or not track.dying]
+        self._is_new = False
+        return self._detection(found)
+
+    def _step(self, moment: float | None) -> float:
+        before, self._moment = self._moment, moment
+        if moment is None or before is None:
+            return DEFAULT_STEP_S
+        return float(np.clip(moment - before, 0.0, 1.0))
+
+    def _expose(self, found: Found) -> None:
+        """Scale all tracks by the change of exposure: the median over the frame, which no lamp can move."""
+        luminance = found.grid.luminance[::EXPOSURE_STEP]
+        before, self._luminance = self._luminance, luminance
+        if before is None or before.shape != luminance.shape:
+            return
+        known = (before > 0.0) & (luminance > 0.0)
+        change = float(np.median(luminance[known] / before[known])) if known.any() else 1.0
+        for track in self._tracks:
+            track.light = replace(track.light, irradiance=track.light.irradiance * change)
+
+    def _begin(self, candidate: Candidate) -> _Track:
+        track = _Track(self._next_id, replace(candidate.light, id=self._next_id), candidate.source)
+        self._next_id += 1
+        if self._is_new:
+            track.presence, track.seen = 1.0, BIRTH_FRAMES
+        return track
+
+    def _follow(self, track: _Track, candidate: Candidate, step: float) -> None:
+        now, before = candidate.light, track.light
+        slow = 1.0 - np.exp(-step / SMOOTHING_S)
+        angle = float(np.arccos(np.clip(now.direction @ before.direction, -1, 1)))
+        direction = before.direction + max(slow, min(1.0, angle / FOLLOW_ANGLE)) * (now.direction - before.direction)
+        change = np.log(np.maximum(now.irradiance, 1e-12) / np.maximum(before.irradiance, 1e-12))
+        # what is clipped tells nothing of its power; when the exposure drops, it unclips and only seems to grow
+        rate = 1.0 - np.exp(-step / (CLIPPED_SMOOTHING_S if candidate.is_clipped else SMOOTHING_S))
+        track.light = Light(direction / np.linalg.norm(direction), before.irradiance * np.exp(rate * change),
+                            before.angular_radius + slow * (now.angular_radius - before.angular_radius), track.id,
+                            before.gain * (now.gain / before.gain) ** rate)
+        track.source = candidate.source
+        track.seen += 1
+        track.dying = candidate.contribution < (DEATH_CONTRIBUTION if track.presence > 0 else MIN_CONTRIBUTION)
+        if track.dying:
+            track.presence -= step / FADE_S
+        elif track.seen >= BIRTH_FRAMES:
+            track.presence = min(1.0, track.presence + step / FADE_S)
+
+    def _match(self, candidates: tuple[Candidate, ...]) -> dict[int, int]:
+        """Which track is which candidate: the nearest by angle and log power."""
+        if not candidates or not self._tracks:
             return {}
-        angle = np.arccos(np.clip([[a.direction @ b.direction for b in self._last] for a in lights], -1, 1))
-        power = np.log([[max(a.irradiance @ WEIGHTS, 1e-9) / max(b.irradiance @ WEIGHTS, 1e-9) for b in self._last]
-                        for a in lights])
+        before, now = [track.light for track in self._tracks], [candidate.light for candidate in candidates]
+        angle = np.arccos(np.clip(np.array([a.direction for a in before]) @ np.array([b.direction for b in now]).T, -1, 1))
+        logs = [np.log(np.maximum(np.array([light.irradiance for light in lights]) @ WEIGHTS, 1e-9)) for lights in (before, now)]
+        power = logs[0][:, None] - logs[1][None, :]
         cost = (angle / MAX_STEP) ** 2 + 0.1 * power**2
         rows, columns = linear_sum_assignment(np.where(angle <= MAX_STEP, cost, 1e6))
         return {int(r): int(c) for r, c in zip(rows, columns, strict=True) if angle[r, c] <= MAX_STEP}
+
+    def _detection(self, found: Found) -> Detection:
+        kept = sorted((track for track in self._tracks if track.presence > 0.0),
+                      key=lambda track: -float(track.presence * track.light.irradiance @ WEIGHTS))[:MAX_LIGHTS]
+        return found.detection([(replace(track.light, irradiance=track.presence * track.light.irradiance), track.source,
+                                 track.presence) for track in kept])

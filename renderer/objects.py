@@ -26,6 +26,7 @@ from renderer.specular import MIN_ROUGHNESS, Array32, dfg_table, quantized_rough
 Array = NDArray[np.float64]
 SAMPLES = 2               # a side of a pixel
 SIZE_STEP = 64            # view targets come in a few sizes, so that moving objects do not allocate
+NO_POWER_OF_TWO = 8       # added to them: llvmpipe compiles other programs for powers of two, in mid-stream when one first comes
 FIRST_UNIT = 8            # texture units after the panorama's
 BELOW_NOTHING = -1e9
 LIGHT_SLOTS = (2, 4, 8)   # lights: each number has a program of its own, with a constant loop
@@ -250,7 +251,7 @@ class ObjectStage:
         if illumination is None:
             return
         for slots in LIGHT_SLOTS:
-            self.set_illumination(replace(illumination, lights=illumination.lights[:1] * slots))
+            self.set_illumination(replace(illumination, lights=(Light(np.array([0.0, 1.0, 0.0]), np.ones(3), 0.01),) * slots))
             for lobes, mirrors in ((True, False), (False, True), (True, True)):
                 self._shade(view, target, Shading(False, slots, lobes, mirrors))
         self.set_illumination(illumination)
@@ -264,7 +265,8 @@ class ObjectStage:
                 target.view = None
 
     def _target(self, view: View, textured: bool) -> _ViewTarget:
-        key = (-(-view.size[0] // SIZE_STEP) * SIZE_STEP, -(-view.size[1] // SIZE_STEP) * SIZE_STEP, textured)
+        width, height = (-(-side // SIZE_STEP) * SIZE_STEP + NO_POWER_OF_TWO for side in view.size)
+        key = (width, height, textured)
         targets = self._targets.setdefault(key, [])
         for target in targets:
             if target.view is view:

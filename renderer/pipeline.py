@@ -17,8 +17,8 @@ from renderer.frame import Frame, RadianceFrame, RgbFrame, YuvFrame, check_size
 from renderer.gl import Context, release_all
 from renderer.gltf import GltfError, transform
 from renderer.inverse_tone_mapping import WEIGHTS, linear_from_radiance
-from renderer.irradiance import irradiance, project
-from renderer.light_detection import Detection, detect
+from renderer.irradiance import disc_cosine, irradiance, project
+from renderer.light_detection import Detection, find_candidates
 from renderer.light_tracking import LightTracker
 from renderer.mesh import Surface
 from renderer.mesh_library import MeshLibrary
@@ -56,12 +56,13 @@ class Timings:
 
 @dataclass(frozen=True)
 class FrameLight:
-    """The light of one frame: lights and residual, the residual at the size that its smooth uses need, and its (25, 3)
-    spherical harmonics."""
+    """The light of one frame: lights and residual; the residual's (25, 3) spherical harmonics; those of the soft map, which
+    lights surfaces together with the lights that are not wide, and that map at the size that prefiltering needs."""
 
     detection: Detection
-    small_residual: NDArray[np.float32]
     coefficients: Array
+    soft_coefficients: Array
+    soft: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -113,19 +114,20 @@ class Pipeline:
         self._shadow_tiles: dict[tuple[ShadowMap, float], TileMask] = {}
         self._last_placement: tuple[Scene, dict[str, float], Placement] | None = None
 
-    def analyse(self, frame: Frame) -> tuple[FrameLight, Timings]:
-        """Find the light of a frame without compositing anything."""
+    def analyse(self, frame: Frame, moment: float | None = None) -> tuple[FrameLight, Timings]:
+        """Find the light of a frame shown at `moment` seconds without compositing anything."""
         timings = Timings()
         with timings.stage("upload"):
             self._panorama.write(frame, only_packed=True)
             self._panorama.use()
-        return self._light(timings), timings
+        return self._light(timings, moment), timings
 
-    def render(self, frame: Frame, scene: Scene, *, light: FrameLight | None = None, output: YuvFrame | None = None) -> Rendered:
+    def render(self, frame: Frame, scene: Scene, *, light: FrameLight | None = None, moment: float | None = None,
+               output: YuvFrame | None = None) -> Rendered:
         """Composite the scene into the frame. The frame's own arrays stay as they are.
 
-        `light` is that of an earlier frame, to light this one by; without it, it is read from this one first. `output` are
-        planes to write into, for a YuvFrame; without them there are new ones.
+        `light` is that of an earlier frame, to light this one by; without it, it is read from this one first, which is shown
+        at `moment` seconds. `output` are planes to write into, for a YuvFrame; without them there are new ones.
         """
         self._context.assert_own_thread()
         check_size(frame)
@@ -137,7 +139,7 @@ class Pipeline:
             self._panorama.write(frame, only_packed=not any(item.may_mirror for item in placement.objects.values()))
             self._panorama.use()
         if light is None:
-            light = self._light(timings)
+            light = self._light(timings, moment)
         if not visible:
             return Rendered(frame if output is None else _copied(frame, output), light, 0.0, timings, {})
         lit = self._light_scene(scene, light, placement, timings)
@@ -151,10 +153,10 @@ class Pipeline:
         fraction = len(touched) * TILE * TILE / (self._size[0] * self._size[1])
         return Rendered(composited, light, fraction, timings, placement.errors)
 
-    def read_light(self) -> tuple[FrameLight, Timings]:
-        """The light of the frame that was rendered last."""
+    def read_light(self, moment: float | None = None) -> tuple[FrameLight, Timings]:
+        """The light of the frame that was rendered last, which is shown at `moment` seconds."""
         timings = Timings()
-        return self._light(timings), timings
+        return self._light(timings, moment), timings
 
     def prepare(self, light: FrameLight) -> Timings:
         """Do now what the next frame would need first to be lit by this light, if its scene is that of the last frame."""
@@ -173,16 +175,17 @@ class Pipeline:
             self._objects.compile_variants(self._lit.placement.views[0])
             self._composite.compile_variants()
 
-    def _light(self, timings: Timings) -> FrameLight:
+    def _light(self, timings: Timings, moment: float | None) -> FrameLight:
         with timings.stage("radiance_map"):
             radiance_map = self._radiance.run()
         with timings.stage("lights"):
-            detection = detect(radiance_map)
-            detection = Detection(self._tracker.update(detection.lights), detection.residual, detection.threshold)
+            detection = self._tracker.update(find_candidates(radiance_map), moment)
         with timings.stage("irradiance"):
-            residual = detection.residual.astype(np.float32)
-            small = resample(residual, SMALL_ROWS, 2 * SMALL_ROWS) if residual.shape[0] > SMALL_ROWS else residual
-            return FrameLight(detection, small, project(small))
+            soft = _small(detection.soft)
+            coefficients = soft_coefficients = project(soft)
+            if detection.soft is not detection.residual:
+                coefficients = project(_small(detection.residual))
+            return FrameLight(detection, coefficients, soft_coefficients, soft)
 
     def _placement(self, scene: Scene, visible: list[SceneObject]) -> Placement:
         """Where the scene's objects stand; kept until the scene or a model's file changes."""
@@ -232,7 +235,7 @@ class Pipeline:
     def _ground_light(self, scene: Scene, light: FrameLight) -> GroundLight | None:
         if not scene.ground.catcher:
             return None
-        lights = [item.irradiance * max(float(item.direction @ UP), 0.0) for item in light.detection.lights]
+        lights = [item.irradiance * float(disc_cosine(item.direction @ UP, item.angular_radius)) for item in light.detection.lights]
         ambient = np.maximum(irradiance(light.coefficients, UP), 0.0)
         return GroundLight(-scene.camera_height, ambient + sum(lights, np.zeros(3)), lights)
 
@@ -279,7 +282,7 @@ class Pipeline:
 
     def reset(self) -> None:
         """Forget the lights of earlier frames."""
-        self._tracker = LightTracker()
+        self._tracker.reset()
 
     def release(self) -> None:
         self._context.rest()
@@ -296,10 +299,16 @@ def _copied(frame: Frame, output: YuvFrame | None) -> YuvFrame:
     return output
 
 
+def _small(radiance: Array) -> NDArray[np.float32]:
+    small = radiance.astype(np.float32)
+    return resample(small, SMALL_ROWS, 2 * SMALL_ROWS) if small.shape[0] > SMALL_ROWS else small
+
+
 def _illumination(scene: Scene, light: FrameLight, objects: list[PlacedMesh]) -> Illumination:
     surfaces = [surface for item in objects for surface in item.surfaces]
     wanted = {quantized_roughness(s.roughness) for s in surfaces if s.roughness >= MIRROR_BELOW}
-    return Illumination(light.coefficients, light.detection.lights, prefilter_all(light.small_residual, wanted),
+    lights = tuple(item for item in light.detection.lights if not item.is_wide)
+    return Illumination(light.soft_coefficients, lights, prefilter_all(light.soft, wanted),
                         -scene.camera_height if scene.ground.catcher else None)
 
 

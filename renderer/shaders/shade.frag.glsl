@@ -95,6 +95,12 @@ float ggx_reflection(float n_dot_h, float n_dot_l, float n_dot_v, float alpha, f
     return a2 / (PI * d * d) * v;
 }
 
+// renderer/irradiance.py: a disc that sets behind the surface's own horizon fades.
+float disc_cosine(float cosine, float radius) {
+    float s = max(sin(radius), 1e-6), rising = cosine + s;
+    return cosine >= s ? cosine : (rising <= 0.0 ? 0.0 : rising * rising / (4.0 * s));
+}
+
 struct Surface { vec3 normal; vec3 position; vec3 color; float metallic; vec3 emissive; float roughness; vec3 lobe; };
 
 vec3 shade(Surface s, vec3 view, vec3 reflected, vec3 step_x, vec3 step_y) {
@@ -118,7 +124,8 @@ vec3 shade(Surface s, vec3 view, vec3 reflected, vec3 step_x, vec3 step_y) {
     vec3 e = sh_irradiance(s.normal);
     for (int i = 0; i < LIGHTS; ++i) {
         vec3 l = light_direction[i], h = normalize(l + view);
-        float n_dot_l = max(dot(s.normal, l), 0.0), away = 1.0 - clamp(dot(view, h), 0.0, 1.0), away2 = away * away;
+        float n_dot_l = disc_cosine(dot(s.normal, l), light_radius[i]), away = 1.0 - clamp(dot(view, h), 0.0, 1.0);
+        float away2 = away * away;
         float spread = ggx_reflection(clamp(dot(s.normal, h), 0.0, 1.0), n_dot_l, n_dot_v, alpha,
                                       min(1.0, alpha + 0.5 * light_radius[i]));
         vec3 fresnel = f0 + (1.0 - f0) * (away2 * away2 * away);

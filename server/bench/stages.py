@@ -99,10 +99,10 @@ def _run(context: Context, clip: Path, scene: Scene, size: tuple[int, int], fps:
         picture = reader.read(frame)
         output, video = pool.take(picture.format)
         with samples.row("render"):
-            rendered = pipeline.render(picture, scene, light=light, output=output)
+            rendered = pipeline.render(picture, scene, light=light, moment=index / fps, output=output)
         samples.add_stages(rendered.timings)
         with samples.row("read light"):
-            light, timings = pipeline.read_light()
+            light, timings = pipeline.read_light(index / fps)
         samples.add_stages(timings)
         with samples.row("prepare light"):
             timings = pipeline.prepare(light)

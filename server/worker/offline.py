@@ -202,7 +202,7 @@ def _render_video(context: Context, source: Path, output: Path, scene: Scene, sc
             if pipeline is None:
                 pipeline = Pipeline(context, YuvFrame, picture.size, mesh_root=scene_folder)
             started = time.perf_counter()
-            rendered = _checked(pipeline.render(picture, scene))
+            rendered = _checked(pipeline.render(picture, scene, moment=pts))
             report.add(rendered, (time.perf_counter() - started) * 1e3, source.name, pts)
             assert isinstance(rendered.frame, YuvFrame)
             clip.write(rendered.frame, pts)

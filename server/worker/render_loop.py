@@ -206,10 +206,13 @@ class RenderLoop:
 
     def _render(self, picture: YuvFrame, decoded: Decoded, started: float, timestamp: int) -> None:
         assert self._pipeline is not None
+        if self._schedule.is_cut(picture):
+            self._pipeline.reset()
+            self._light = self._next_light = None
         if self._viewers:
             self._composite(picture, decoded, started, timestamp)
         else:
-            self._light, timings = self._pipeline.analyse(picture)
+            self._light, timings = self._pipeline.analyse(picture, decoded.decoded_at)
             self._statistics.add((time.perf_counter() - started) * 1e3, timings.stages)
             self._send_lights(self._light, decoded, timestamp)
         self._rendered += 1
@@ -220,16 +223,15 @@ class RenderLoop:
         """Composite the picture and hand it to the encoder; then read its light, for the next one."""
         assert self._pipeline is not None
         assert self._pool is not None
-        light = None if self._schedule.is_cut(picture) else self._light
         output, video = self._pool.take(picture.format)
-        rendered = self._pipeline.render(picture, self._scene, light=light, output=output)
+        is_read = self._light is None
+        rendered = self._pipeline.render(picture, self._scene, light=self._light, moment=decoded.decoded_at, output=output)
         render_ms = (time.perf_counter() - started) * 1e3
         stages, self._errors = rendered.timings.stages, rendered.errors
         self._encode.pictures.put(Composited(output, video, self._frame_number, timestamp, decoded.decoded_at, render_ms, stages))
         self._newest_composite, self._light = output, rendered.light
         self._statistics.touched_fraction = rendered.touched_fraction
-        if light is None:
-            self._next_light = None
+        if is_read:
             self._send_lights(rendered.light, decoded, timestamp)
         else:
             stages = stages | self._follow_light(decoded, timestamp)
@@ -242,7 +244,7 @@ class RenderLoop:
         interval_s = 1 / self._encode.fps
         due_at = decoded.decoded_at + interval_s
         if self._next_light is None and self._schedule.has_time(READ, due_at):
-            self._next_light, timings = self._pipeline.read_light()
+            self._next_light, timings = self._pipeline.read_light(decoded.decoded_at)
             self._schedule.took(READ, timings.total / 1e3)
             self._send_lights(self._next_light, decoded, timestamp)
             stages |= timings.stages
