@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.gl import GL_CLIP_DISTANCE0, Context, release_all, set_uniforms
-from renderer.irradiance import COSINE_LOBE
 from renderer.light_detection import Light
 from renderer.mesh import Mesh, Primitive, Surface
 from renderer.panorama import PanoramaTextures
@@ -38,10 +37,10 @@ MIRROR_BELOW = MIN_ROUGHNESS / 2
 
 @dataclass(frozen=True)
 class Illumination:
-    """What lights the objects in one frame: (25, 3) radiance coefficients of the residual, the lights taken out of it, the
-    residual prefiltered for each roughness in use, the ground's height (None: no ground)."""
+    """What lights the objects in one frame: irradiance by normal and radiance prefiltered for each roughness in use, both of
+    the map without its lights; the lights; the ground's height (None: no ground)."""
 
-    coefficients: Array
+    irradiance: Array32
     lights: tuple[Light, ...]
     lobes: dict[float, Array32]
     ground_y: float | None
@@ -181,8 +180,7 @@ class ObjectStage:
         for index, light in enumerate(lights):
             directions[index], irradiances[index], radii[index] = light.direction, light.irradiance, light.angular_radius
         self._uniforms = {
-            **self._set_lobes(illumination.lobes),
-            "irradiance_sh": illumination.coefficients * COSINE_LOBE[:, None],
+            **self._set_lobes(illumination.irradiance, illumination.lobes),
             "light_direction": directions, "light_irradiance": irradiances, "light_radius": radii,
             "mirror_below": MIRROR_BELOW,
             "ground_y": illumination.ground_y or 0.0,
@@ -192,31 +190,30 @@ class ObjectStage:
         for program in self.surface_programs.values():
             set_uniforms(program, {"clip_below_y": below})
 
-    def _set_lobes(self, lobes: dict[float, Array32]) -> dict[str, object]:
-        """Stack the prefiltered maps in one texture, each with a border of its own wrapped columns and repeated pole rows."""
-        if not lobes:
-            self._lobe_cells = {}
-            return {"lobe_count": 0}
-        ordered = sorted(lobes.items())[:MAX_LOBES]
-        width = max(lobe.shape[1] for _, lobe in ordered) + 2
-        height = sum(lobe.shape[0] + 2 for _, lobe in ordered)
+    def _set_lobes(self, irradiance: Array32, lobes: dict[float, Array32]) -> dict[str, object]:
+        """Stack the filtered maps in one texture, each with a border of what lies across its seam and its poles."""
+        maps = [irradiance, *(lobe for _, lobe in sorted(lobes.items())[:MAX_LOBES])]
+        width = max(one.shape[1] for one in maps) + 2
+        height = sum(one.shape[0] + 2 for one in maps)
         atlas = np.zeros((height, width, 4), dtype="f4")
-        table = np.zeros((MAX_LOBES, 4))
-        cells = self._lobe_cells = {}
-        top = 0
-        for index, (roughness, lobe) in enumerate(ordered):
-            rows, columns = lobe.shape[:2]
+        cells, top = [], 0
+        for one in maps:
+            rows, columns = one.shape[:2]
             cell = atlas[top:top + rows + 2, :columns + 2, :3]
-            cell[1:-1, 1:-1], cell[1:-1, 0], cell[1:-1, -1] = lobe, lobe[:, -1], lobe[:, 0]
-            cell[0], cell[-1] = cell[1], cell[-2]
-            cells[roughness] = (columns / width, (top + 1) / height, rows / height)
-            table[index] = (roughness, *cells[roughness])
+            cell[1:-1, 1:-1] = one
+            cell[0, 1:-1], cell[-1, 1:-1] = np.roll(one[0], columns // 2, axis=0), np.roll(one[-1], columns // 2, axis=0)
+            cell[:, 0], cell[:, -1] = cell[:, -2], cell[:, 1]
+            cells.append((columns / width, (top + 1) / height, rows / height))
             top += rows + 2
+        self._lobe_cells = dict(zip(sorted(lobes), cells[1:], strict=False))
+        table = np.zeros((MAX_LOBES, 4))
+        for index, (roughness, cell_uv) in enumerate(self._lobe_cells.items()):
+            table[index] = (roughness, *cell_uv)
         if self._lobe_atlas.size != (width, height):
             self._lobe_atlas.release()
             self._lobe_atlas = self._context.texture((width, height), 4, "f4")
         self._lobe_atlas.write(atlas)
-        return {"lobe_count": len(ordered), "lobe": table, "lobe_border": 1 / width}
+        return {"lobe_count": len(self._lobe_cells), "lobe": table, "lobe_border": 1 / width, "irradiance_cell": cells[0]}
 
     def draw(self, view: View, objects: list[PlacedMesh]) -> tuple[moderngl.Texture, tuple[int, int]]:
         """Draw the view's members. Returns the texture and the part of it, in pixels, that the view fills."""

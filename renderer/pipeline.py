@@ -28,7 +28,7 @@ from renderer.placement import TILE, TileMask, View, plan_views, touched_tiles
 from renderer.radiance_map import RadianceMapStage, packed_pixels
 from renderer.scene import Scene, SceneObject
 from renderer.shadows import ShadowMap, ShadowStage, world_points
-from renderer.specular import prefilter_all, quantized_roughness, resample
+from renderer.specular import irradiance_map, prefilter_all, quantized_roughness, resample
 
 Array = NDArray[np.float64]
 UP = np.array([0.0, 1.0, 0.0])
@@ -56,13 +56,13 @@ class Timings:
 
 @dataclass(frozen=True)
 class FrameLight:
-    """The light of one frame: lights and residual; the residual's (25, 3) spherical harmonics; those of the soft map, which
-    lights surfaces together with the lights that are not wide, and that map at the size that prefiltering needs."""
+    """The light of one frame: lights and residual; the residual's (25, 3) spherical harmonics; the map that lights surfaces
+    together with the lights that are not wide, small, and its irradiance by the direction of the normal."""
 
     detection: Detection
     coefficients: Array
-    soft_coefficients: Array
     soft: NDArray[np.float32]
+    irradiance: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -182,10 +182,8 @@ class Pipeline:
             detection = self._tracker.update(find_candidates(radiance_map), moment)
         with timings.stage("irradiance"):
             soft = _small(detection.soft)
-            coefficients = soft_coefficients = project(soft)
-            if detection.soft is not detection.residual:
-                coefficients = project(_small(detection.residual))
-            return FrameLight(detection, coefficients, soft_coefficients, soft)
+            residual = soft if detection.soft is detection.residual else _small(detection.residual)
+            return FrameLight(detection, project(residual), soft, irradiance_map(soft))
 
     def _placement(self, scene: Scene, visible: list[SceneObject]) -> Placement:
         """Where the scene's objects stand; kept until the scene or a model's file changes."""
@@ -308,7 +306,7 @@ def _illumination(scene: Scene, light: FrameLight, objects: list[PlacedMesh]) ->
     surfaces = [surface for item in objects for surface in item.surfaces]
     wanted = {quantized_roughness(s.roughness) for s in surfaces if s.roughness >= MIRROR_BELOW}
     lights = tuple(item for item in light.detection.lights if not item.is_wide)
-    return Illumination(light.soft_coefficients, lights, prefilter_all(light.soft, wanted),
+    return Illumination(light.irradiance, lights, prefilter_all(light.soft, wanted),
                         -scene.camera_height if scene.ground.catcher else None)
 
 

@@ -1,4 +1,4 @@
-"""Glossy light: the radiance map prefiltered with the GGX lobe of exactly the roughness values in use, and the split sum.
+"""Glossy and diffuse light: the radiance map filtered with the GGX lobes in use and with the cosine; the split sum.
 
 Prefiltering (Karis 2013, N = V = R) is a convolution with a kernel that depends on the angle only. On the equirectangular
 grid it is circular in azimuth, so a Fourier transform over the columns turns it into one small matrix product per
@@ -8,6 +8,7 @@ compensation for multiple scattering (Fdez-Aguera 2019).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -21,6 +22,8 @@ Floats = NDArray[np.floating]
 MIN_ROUGHNESS = 0.2     # a narrower lobe is nearer to a mirror than to any map this small
 ROUGHNESS_STEP = 1 / 128
 DFG_SIZE = 64
+IRRADIANCE_ROWS = 32
+COSINE_FREQUENCIES = 25     # over azimuth; beyond them the clamped cosine has less than 1e-3 of its power
 _SUBSAMPLES = 3
 
 
@@ -65,22 +68,51 @@ def prefilter(radiance: Floats, roughness: float) -> Array32:
     return np.maximum(lobes, 0.0).astype(np.float32)
 
 
+def irradiance_map(radiance: Floats) -> Array32:
+    """(height, width, 3) map to (IRRADIANCE_ROWS, 2 IRRADIANCE_ROWS, 3) irradiance by the direction of the normal.
+
+    The papers' diffuse radiance map (Iorns & Rhee section 4.2), but exact: the same convolution, with the clamped cosine.
+    """
+    columns = 2 * IRRADIANCE_ROWS
+    spectrum = np.fft.rfft(radiance, axis=1)[:, :COSINE_FREQUENCIES].transpose(1, 0, 2)
+    parts = np.concatenate([spectrum.real, spectrum.imag], axis=2).astype(np.float32)
+    filtered = _cosine_kernel(*radiance.shape[:2])[:len(parts)] @ parts
+    # the spectrum of the finer columns starts half of their width further left
+    turn = np.exp(1j * np.pi * np.arange(len(filtered)) * (1 / columns - 1 / radiance.shape[1]))[:, None, None]
+    found = np.fft.irfft(((filtered[..., :3] + 1j * filtered[..., 3:]) * turn).transpose(1, 0, 2), n=columns, axis=1)
+    return np.asarray(np.maximum(found * (columns / radiance.shape[1]), 0.0), dtype=np.float32)
+
+
+@lru_cache(maxsize=4)
+def _cosine_kernel(height: int, width: int) -> Array32:
+    """(frequencies, rows out, height) real spectrum over azimuth of the clamped cosine times solid angle; a constant gives pi."""
+    kernel = _azimuthal_kernel(lambda cosine: np.maximum(cosine, 0.0), IRRADIANCE_ROWS, height, max(1, width // 2))
+    return np.asarray(_spectrum(kernel * np.float32(np.pi))[:COSINE_FREQUENCIES].copy(), dtype=np.float32)
+
+
 @lru_cache(maxsize=32)
 def _kernel(roughness: float, rows: int) -> Array32:
     """(frequencies, rows out, rows in) real spectrum over azimuth of the normalised, solid-angle weighted lobe."""
-    columns = 2 * rows
+    return _spectrum(_azimuthal_kernel(lambda cosine: ggx_lobe(cosine, roughness), rows, rows, rows))
+
+
+def _spectrum(kernel: Array32) -> Array32:
+    return np.ascontiguousarray(np.fft.rfft(kernel, axis=2).real.transpose(2, 0, 1), dtype=np.float32)
+
+
+def _azimuthal_kernel(lobe: Callable[[Floats], Floats], rows_out: int, rows_in: int, half_turn: int) -> Array32:
+    """(rows out, rows in, columns) weight of a texel for a direction, by the columns between them; each row out sums to 1."""
     offsets = (np.arange(_SUBSAMPLES, dtype=np.float32) + 0.5) / _SUBSAMPLES
-    theta_out = ((np.arange(rows, dtype=np.float32) + 0.5) / rows * np.pi)[:, None, None]
-    half = np.zeros((rows, rows, rows + 1), dtype=np.float32)   # the kernel is even in azimuth
+    theta_out = ((np.arange(rows_out, dtype=np.float32) + 0.5) / rows_out * np.pi)[:, None, None]
+    half = np.zeros((rows_out, rows_in, half_turn + 1), dtype=np.float32)   # the kernel is even in azimuth
     for row_offset in offsets:
-        theta_in = ((np.arange(rows, dtype=np.float32) + row_offset) / rows * np.pi)[None, :, None]
+        theta_in = ((np.arange(rows_in, dtype=np.float32) + row_offset) / rows_in * np.pi)[None, :, None]
         along, across = np.cos(theta_out) * np.cos(theta_in), np.sin(theta_out) * np.sin(theta_in)
         for column_offset in offsets:
-            azimuth = (np.arange(rows + 1, dtype=np.float32) + column_offset - 0.5) / columns * 2 * np.pi
-            half += ggx_lobe(along + across * np.cos(azimuth), roughness) * np.sin(theta_in)
+            azimuth = (np.arange(half_turn + 1, dtype=np.float32) + column_offset - 0.5) / half_turn * np.pi
+            half += lobe(along + across * np.cos(azimuth)) * np.sin(theta_in)
     kernel = np.concatenate([half, half[:, :, -2:0:-1]], axis=2)
-    kernel /= kernel.sum(axis=(1, 2), keepdims=True)
-    return np.ascontiguousarray(np.fft.rfft(kernel, axis=2).real.transpose(2, 0, 1), dtype=np.float32)
+    return np.asarray(kernel / kernel.sum(axis=(1, 2), keepdims=True), dtype=np.float32)
 
 
 def resample(radiance: Floats, rows: int, columns: int) -> Floats:

@@ -1,4 +1,4 @@
-// glTF metallic-roughness under the light of the frame, once for every pixel of a view: spherical harmonics and lights for
+// glTF metallic-roughness under the light of the frame, once for every pixel of a view: an irradiance map and lights for
 // the diffuse part, a prefiltered map (or the frame itself, for mirrors) and lights for the glossy part. Camera at the origin.
 #include "equirectangular.glsl"
 #include "panorama.glsl"
@@ -16,11 +16,11 @@ uniform mat3 world_from_view;           // columns: right, up, forward
 uniform vec4 view_bounds;               // left, bottom, width, height on the tangent plane
 uniform vec2 view_size;
 
-uniform vec3 irradiance_sh[25];         // A_l L_lm
 uniform vec3 light_direction[LIGHTS];
 uniform vec3 light_irradiance[LIGHTS];  // 0 for an unused entry
 uniform float light_radius[LIGHTS];
-uniform sampler2D lobe_atlas;           // maps prefiltered for each roughness in use, lights taken out
+uniform sampler2D lobe_atlas;           // irradiance, and maps prefiltered for each roughness in use; lights taken out
+uniform vec3 irradiance_cell;           // u scale, v offset, v scale in the atlas
 uniform vec4 lobe[MAX_LOBES];           // roughness; u scale, v offset, v scale in the atlas
 uniform float lobe_border;              // u of the first column
 uniform int lobe_count;
@@ -31,24 +31,6 @@ uniform float ground_y;
 uniform int has_ground;
 
 out vec4 radiance;
-
-// Bands 0, 1, 2 and 4; the third carries no irradiance. Constants as in renderer/irradiance.py.
-vec3 sh_irradiance(vec3 n) {
-    float x = n.x, y = n.y, z = n.z, x2 = x * x, y2 = y * y, z2 = z * z;
-    vec3 e = 0.2820947918 * irradiance_sh[0]
-        + 0.4886025119 * (y * irradiance_sh[1] + z * irradiance_sh[2] + x * irradiance_sh[3])
-        + 1.0925484306 * (x * y * irradiance_sh[4] + y * z * irradiance_sh[5] + x * z * irradiance_sh[7])
-        + 0.3153915653 * (3.0 * z2 - 1.0) * irradiance_sh[6] + 0.5462742153 * (x2 - y2) * irradiance_sh[8];
-    e += 2.5033429418 * x * y * (x2 - y2) * irradiance_sh[16] + 1.7701307698 * y * z * (3.0 * x2 - y2) * irradiance_sh[17]
-        + 0.9461746958 * x * y * (7.0 * z2 - 1.0) * irradiance_sh[18]
-        + 0.6690465436 * y * z * (7.0 * z2 - 3.0) * irradiance_sh[19]
-        + 0.1057855469 * (35.0 * z2 * z2 - 30.0 * z2 + 3.0) * irradiance_sh[20]
-        + 0.6690465436 * x * z * (7.0 * z2 - 3.0) * irradiance_sh[21]
-        + 0.4730873479 * (x2 - y2) * (7.0 * z2 - 1.0) * irradiance_sh[22]
-        + 1.7701307698 * x * z * (x2 - 3.0 * y2) * irradiance_sh[23]
-        + 0.6258357354 * (x2 * (x2 - 3.0 * y2) - y2 * (3.0 * x2 - y2)) * irradiance_sh[24];
-    return max(e, 0.0);
-}
 
 // Where a reflected ray ends: on the ground it is seen by the camera in another direction than it left the object.
 vec3 seen_direction(vec3 from, vec3 ray) {
@@ -71,7 +53,7 @@ vec3 mirror_radiance(vec3 direction, vec3 step_x, vec3 step_y) {
 }
 
 // `map`: u scale, v offset, v scale in the atlas.
-vec3 prefiltered_radiance(vec3 direction, vec3 map) {
+vec3 filtered_light(vec3 direction, vec3 map) {
     vec2 uv = uv_from_direction(direction);
     return textureLod(lobe_atlas, vec2(lobe_border + uv.x * map.x, map.y + uv.y * map.z), 0.0).rgb;
 }
@@ -114,14 +96,14 @@ vec3 shade(Surface s, vec3 view, vec3 reflected, vec3 step_x, vec3 step_y) {
 
     vec3 mirrored = vec3(0.0);
 #if HAS_LOBES
-    mirrored = prefiltered_radiance(reflected, s.lobe);
+    mirrored = filtered_light(reflected, s.lobe);
 #endif
 #if HAS_MIRRORS
     // a loop, because a software renderer runs both sides of an if but leaves a loop that no pixel enters
     for (int once = mirror ? 1 : 0; once > 0; --once) mirrored = mirror_radiance(reflected, step_x, step_y);
 #endif
     vec3 glossy = reflectance * mirrored;
-    vec3 e = sh_irradiance(s.normal);
+    vec3 e = filtered_light(s.normal, irradiance_cell);
     for (int i = 0; i < LIGHTS; ++i) {
         vec3 l = light_direction[i], h = normalize(l + view);
         float n_dot_l = disc_cosine(dot(s.normal, l), light_radius[i]), away = 1.0 - clamp(dot(view, h), 0.0, 1.0);

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.equirectangular import pixel_directions, solid_angles
+from renderer.equirectangular import pixel_directions, solid_angles, uv_from_direction
 from renderer.frame import RadianceFrame
 from renderer.gl import Context
 from renderer.inverse_tone_mapping import MAX_RADIANCE, WEIGHTS
-from renderer.irradiance import basis, disc_cosine, irradiance
+from renderer.irradiance import basis, disc_cosine
 from renderer.light_detection import find_candidates
 from renderer.light_tracking import LightTracker
 from renderer.pipeline import FrameLight, Pipeline
@@ -88,12 +88,27 @@ def _row(context: Context, name: str, radiance: NDArray[np.float32]) -> str:
 
 
 def light_irradiance(light: FrameLight, normals: Array) -> Array:
-    """(n, 3) irradiance on these normals as the renderer shades it: harmonics of the residual, and the lights."""
-    found = np.maximum(irradiance(light.soft_coefficients, normals), 0.0)
+    """(n, 3) irradiance on these normals as the renderer shades it: the interpolated irradiance map, and the lights."""
+    found = _interpolated(light.irradiance.astype(np.float64), normals)
     for item in light.detection.lights:
         if not item.is_wide:
             found += disc_cosine(normals @ item.direction, item.angular_radius)[:, None] * item.irradiance
     return found
+
+
+def _interpolated(values: Array, directions: Array) -> Array:
+    """Bilinear look-up across the seam and the poles."""
+    rows, columns = values.shape[:2]
+    grid = np.zeros((rows + 2, columns + 2, 3))
+    grid[1:-1, 1:-1] = values
+    grid[0, 1:-1], grid[-1, 1:-1] = np.roll(values[0], columns // 2, axis=0), np.roll(values[-1], columns // 2, axis=0)
+    grid[:, 0], grid[:, -1] = grid[:, -2], grid[:, 1]
+    at = uv_from_direction(directions) * (columns, rows) + 0.5
+    corner = np.floor(at).astype(int)
+    x, y = corner[:, 0], corner[:, 1]
+    fx, fy = ((at - corner)[:, axis, None] for axis in (0, 1))
+    return np.asarray((1 - fy) * ((1 - fx) * grid[y, x] + fx * grid[y, x + 1])
+                      + fy * ((1 - fx) * grid[y + 1, x] + fx * grid[y + 1, x + 1]))
 
 
 def reference_irradiance(radiance: NDArray[np.float32], normals: Array) -> Array:

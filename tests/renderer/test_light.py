@@ -7,8 +7,8 @@ import pytest
 
 from renderer.equirectangular import pixel_directions, solid_angles
 from renderer.irradiance import BAND, COSINE_LOBE, basis, irradiance, project
-from renderer.specular import dfg_table, ggx_lobe, map_rows, prefilter, resample
-from tests.renderer.light_maps import HEIGHT, WIDTH
+from renderer.specular import dfg_table, ggx_lobe, irradiance_map, map_rows, prefilter, resample
+from tests.renderer.light_maps import HEIGHT, WIDTH, direction
 
 
 def normals(count: int = 500) -> np.ndarray:
@@ -39,6 +39,25 @@ def test_a_single_harmonic_gives_its_band_factor(index: int) -> None:
     found = irradiance(project(np.repeat(harmonic[..., None], 3, axis=2)), normals())[:, 0]
     assert found == pytest.approx(COSINE_LOBE[index] * basis(normals())[:, index], abs=2e-3)
     assert BAND[index] == int(np.sqrt(index))
+
+
+@pytest.mark.parametrize("size", [(1, 1), (3, 5), (16, 32), (45, 90), (64, 128), (120, 240)])
+def test_the_irradiance_map_of_a_constant_is_pi_times_it(size: tuple[int, int]) -> None:
+    assert irradiance_map(np.full((*size, 3), 0.7)) == pytest.approx(0.7 * np.pi, rel=1e-5)
+
+
+@pytest.mark.parametrize("azimuth", [0.0, 33.0, 180.0, -90.0])
+def test_the_irradiance_map_is_that_of_direct_summation(azimuth: float) -> None:
+    """Of half a sky and a window, anywhere: nothing is lost at the seam, and nothing is shifted."""
+    d = pixel_directions(64, 128)
+    towards = direction(azimuth, 25.0)
+    radiance = 1.0 * (d @ direction(azimuth + 70, 40.0) > 0) + 6.0 * (d @ towards > np.cos(np.radians(15)))
+    out = pixel_directions(32, 64)
+    weights = np.broadcast_to(solid_angles(64, 128), (64, 128))
+    expected = np.maximum(out @ d.reshape(-1, 3).T, 0.0) @ (radiance * weights).ravel()
+    found = irradiance_map(np.repeat(radiance[..., None], 3, axis=2))[..., 1]
+    assert np.abs(found - expected).max() < 0.01 * expected.max()
+    assert np.sqrt(((found - expected) ** 2).mean()) < 0.002 * expected.max()
 
 
 @pytest.mark.parametrize("roughness", [0.2, 0.35, 0.5, 0.8, 1.0])
