@@ -20,7 +20,7 @@ from renderer.shadows import ShadowMap, ShadowStage
 
 Array = NDArray[np.float64]
 # Maps of lights and of the residual in one tile: each pair has a program of its own, and a tile takes the first that is enough.
-# Few, because a software renderer compiles each for a third of a second.
+# Few, because each has to be compiled before the first frame.
 SLOTS = ((0, 1), (1, 1), (2, 2), (8, 4))
 MAX_SHADOWS = 64               # of each kind in one frame; as in composite.vert.glsl
 POINT_INTS = 15

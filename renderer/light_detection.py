@@ -104,13 +104,6 @@ class Found:
         return Detection(tuple(light for light, _, _ in kept), residual, soft, self.threshold)
 
 
-def detect(radiance_map: RadianceMap) -> Detection:
-    """Split a radiance map into lights and residual. Any map is accepted; a flat one has no lights."""
-    found = find_candidates(radiance_map)
-    kept = [candidate for candidate in found.candidates if candidate.contribution > MIN_CONTRIBUTION][:MAX_LIGHTS]
-    return found.detection([(item.light, item.source, 1.0) for item in kept])
-
-
 def find_candidates(radiance_map: RadianceMap) -> Found:
     """All sources above the threshold of mean + 2 sigma that a gain could bring over the gate."""
     grid = Grid(radiance_map)

@@ -1,7 +1,7 @@
 """The radiance map: the frame's light on a small equirectangular grid, the input of every lighting stage.
 
-Inverse tone mapping is fused with the reduction; a full-resolution HDR frame never exists. Packed fetches and polynomials in
-place of pow() make the pass about five times faster than its first, plain version (2048x1024, llvmpipe, two cores).
+Inverse tone mapping is fused with the reduction; a full-resolution HDR frame never exists. The planes are read eight pixels a
+fetch, and polynomials stand in for pow().
 """
 
 from __future__ import annotations

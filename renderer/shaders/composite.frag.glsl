@@ -133,7 +133,7 @@ vec3 composited_yuv(vec2 azimuth_trig, vec2 polar_trig, vec3 missing_residual, v
     return differs(layers) ? new_yuv : yuv;
 }
 
-// Four pixels a fragment, written out: a software renderer takes half as long again for a loop.
+// Four pixels a fragment, written out: a software renderer keeps in memory what lives across a loop.
 void main() {
     ivec2 in_tile = (ivec2(gl_FragCoord.xy) - cell_fragment) * 2;
     Trig near = trig_at(vec2(in_tile) + 0.5), far = trig_at(vec2(in_tile) + 1.5), middle = trig_at(vec2(in_tile) + 1.0);

@@ -61,8 +61,8 @@ const ivec2 CELL = ivec2(1, 1);
 float row_weight(int y) { return sin((float(y) + 0.5) / float(frame_size.y / CELL.y) * PI); }
 
 #if COLUMNS
-// COLUMNS x ROWS cells make a texel; the usual numbers are written out, because a software renderer takes half as long again
-// for a loop, even one of a single turn.
+// COLUMNS x ROWS cells make a texel; the usual numbers are written out, because a software renderer keeps in memory what lives
+// across a loop, even one of a single turn.
 vec4 row_radiance(ivec2 first) {
 #if COLUMNS == 1
     return cell_radiance(first);

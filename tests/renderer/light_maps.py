@@ -7,11 +7,18 @@ from functools import lru_cache
 import numpy as np
 
 from renderer.equirectangular import pixel_directions, solid_angles
+from renderer.light_detection import Detection, find_candidates
+from renderer.light_tracking import LightTracker
 from renderer.radiance_map import RadianceMap
 from tests.renderer.frames import direction
 
 HEIGHT, WIDTH = 128, 256
-__all__ = ["HEIGHT", "WIDTH", "direction", "disc", "radiance_map"]
+__all__ = ["HEIGHT", "WIDTH", "detect", "direction", "disc", "radiance_map"]
+
+
+def detect(given: RadianceMap) -> Detection:
+    """Lights and residual of a map, as of a first frame."""
+    return LightTracker().update(find_candidates(given))
 
 
 def radiance_map(radiance: np.ndarray) -> RadianceMap:

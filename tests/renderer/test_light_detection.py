@@ -7,10 +7,9 @@ import pytest
 
 from renderer.equirectangular import pixel_directions, solid_angles
 from renderer.inverse_tone_mapping import WEIGHTS
-from renderer.light_detection import detect
 from renderer.light_sources import label_components
 from renderer.radiance_map import RadianceMap
-from tests.renderer.light_maps import HEIGHT, WIDTH, direction, disc, radiance_map
+from tests.renderer.light_maps import HEIGHT, WIDTH, detect, direction, disc, radiance_map
 
 PLACES = [(0, 20), (33, 50), (180, 30), (179.3, 5), (-179.9, -40), (10, 85), (120, 89.9), (77, 90), (-100, -88), (45, 0.2)]
 

@@ -12,10 +12,11 @@ import av
 import numpy as np
 import pytest
 import pytest_asyncio
-from aiortc import RTCConfiguration, RTCPeerConnection, RTCRtpReceiver, RTCRtpSender, rtcrtpsender
+from aiortc import RTCConfiguration, RTCPeerConnection, RTCRtpReceiver, RTCRtpSender, rtcrtpreceiver, rtcrtpsender
 from aiortc.rtp import RTCP_PSFB_FIR, RtcpPsfbPacket, RtpPacket
 
 from server import aiortc_hooks
+from server.demo.keyframe_decoder import KeyframeDecoder, is_keyframe
 from server.fanout import EncodedFrame, FanOut
 from server.packet_track import PacketTrack, shared_packet
 from server.whep import _h264_with_retransmission
@@ -24,12 +25,12 @@ FIRST_TIMESTAMP = 4294960000        # wraps after a few frames
 LIMIT_S = 20.0
 
 
-def access_units(count: int) -> list[bytes]:
+def access_units(count: int, keyframe_interval: int = 1) -> list[bytes]:
     """H.264 of noise, so that one picture makes dozens of RTP packets."""
     encoder = av.CodecContext.create("libx264", "w")
     encoder.width, encoder.height, encoder.pix_fmt = 320, 160, "yuv420p"
     encoder.time_base, encoder.framerate = Fraction(1, 30), Fraction(30)
-    encoder.options = {"preset": "ultrafast", "tune": "zerolatency", "qp": "10", "g": "1"}
+    encoder.options = {"preset": "ultrafast", "tune": "zerolatency", "qp": "10", "g": str(keyframe_interval)}
     encoder.profile = "Baseline"
     noise = np.random.default_rng(1)
     units = []
@@ -143,3 +144,18 @@ def test_install_refuses_a_changed_aiortc(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(rtcrtpsender.RTCRtpSender, "_run_rtp", other)
     with pytest.raises(RuntimeError, match=r"expected version 1\.16"):
         aiortc_hooks.install()
+
+
+async def test_a_receiver_uses_the_decoder_that_it_is_given(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rtcrtpreceiver, "get_decoder", rtcrtpreceiver.get_decoder)     # put back at the end
+    decoder = KeyframeDecoder()
+    aiortc_hooks.decode_with(lambda codec: decoder)
+    units = access_units(4, keyframe_interval=4)
+    assert [is_keyframe(unit) for unit in units] == [True, False, False, False]
+    for number, unit in enumerate(units):
+        await pair.send(unit, 3000 * number)
+    await until(lambda: decoder.units >= 3)     # the last one waits for a packet after it
+    picture = await pair.receiver.track.recv()
+    assert (picture.width, picture.height) == (320, 160)
+    with pytest.raises(TimeoutError):
+        await asyncio.wait_for(pair.receiver.track.recv(), 0.3)     # only the keyframe is decoded
