@@ -10,7 +10,7 @@ and lowering only under lights that are kept, so that residual + lights = map.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,15 +39,11 @@ class Light:
     angular_radius: float
     id: int = 0
     gain: float = 1.0
+    is_wide: bool = False   # too wide to be a direction: for surfaces it stays in the map, for shadows it is a light
 
     @property
     def solid_angle(self) -> float:
         return float(2 * np.pi * (1 - np.cos(self.angular_radius)))
-
-    @property
-    def is_wide(self) -> bool:
-        """Too wide to be a direction: for surfaces it stays in the map, for shadows it is a light."""
-        return bool(self.angular_radius > WIDE_ANGULAR_RADIUS)
 
 
 @dataclass(frozen=True)
@@ -88,7 +84,7 @@ class Found:
         texels = source.texels[~taken[source.texels]]
         if not len(texels):
             return None
-        return _candidate(self.grid, source_at(self.grid, texels, self.threshold), 0.0, max(np.pi * self.mean, 1e-300))
+        return _candidate(self.grid, source_at(self.grid, texels, self.threshold), 1.0, max(np.pi * self.mean, 1e-300))
 
     def detection(self, kept: list[tuple[Light, Source, float]]) -> Detection:
         """These lights, and the map without these shares of their sources."""
@@ -96,28 +92,33 @@ class Found:
         for _, source, share in kept:
             flat[source.texels] -= share * source.excess
         residual = soft = flat.reshape(*self.grid.shape, 3)
-        wide = [(light.gain * share * source.excess, source.texels) for light, source, share in kept if light.is_wide]
+        lights = tuple(replace(light, is_wide=bool(light.angular_radius > WIDE_ANGULAR_RADIUS)) for light, _, _ in kept)
+        wide = [(light.gain * share * source.excess, source.texels)
+                for light, (_, source, share) in zip(lights, kept, strict=True) if light.is_wide]
         if wide:
             soft = residual.copy()
             for radiance, texels in wide:
                 soft.reshape(-1, 3)[texels] += radiance
-        return Detection(tuple(light for light, _, _ in kept), residual, soft, self.threshold)
+        return Detection(lights, residual, soft, self.threshold)
 
 
-def find_candidates(radiance_map: RadianceMap) -> Found:
-    """All sources above the threshold of mean + 2 sigma that a gain could bring over the gate."""
+def find_candidates(radiance_map: RadianceMap, sigmas: float | None = None, gain: float | None = None) -> Found:
+    """All sources above the threshold of mean + 2 sigma that a gain could bring over the gate.
+
+    `sigmas` in place of 2; `gain` for all lights that are clipped, in place of what is estimated.
+    """
     grid = Grid(radiance_map)
     mean, sigma = grid.statistics()
-    threshold = mean + SIGMAS * sigma
+    threshold = mean + (SIGMAS if sigmas is None else sigmas) * sigma
     whole = max(np.pi * mean, 1e-300)   # irradiance of a sphere: a quarter of 4 pi times the mean
     sources = find_sources(grid, threshold, NEGLIGIBLE * whole, MAX_CANDIDATES)
-    restored = _restored_irradiance(grid, sources) * whole
-    candidates = [candidate for source, power in zip(sources, restored, strict=True)
-                  if (candidate := _candidate(grid, source, power, whole)) is not None]
+    gains = _gains(grid, sources, whole) if gain is None else _given_gains(grid, sources, gain)
+    candidates = [candidate for source, factor in zip(sources, gains, strict=True)
+                  if (candidate := _candidate(grid, source, float(factor), whole)) is not None]
     return Found(grid, tuple(sorted(candidates, key=lambda item: -item.contribution)), mean, threshold)
 
 
-def _candidate(grid: Grid, source: Source, restored_irradiance: float, whole_irradiance: float) -> Candidate | None:
+def _candidate(grid: Grid, source: Source, gain: float, whole_irradiance: float) -> Candidate | None:
     power = source.excess * grid.solid_angle(source.texels)[:, None]
     vectors = power.T @ grid.directions[source.texels]     # channel, axis
     mean_vector = WEIGHTS @ vectors
@@ -127,13 +128,12 @@ def _candidate(grid: Grid, source: Source, restored_irradiance: float, whole_irr
     direction = mean_vector / length
     radius = max(float(np.arccos(np.clip(2 * length / total - 1, -1, 1))), MIN_ANGULAR_RADIUS)
     irradiance = np.maximum(vectors @ direction, 0.0)
-    gain = float(np.clip(restored_irradiance / max(float(irradiance @ WEIGHTS), 1e-12), 1.0, MAX_GAIN))
     return Candidate(Light(direction, irradiance * gain, radius, gain=gain), source,
                      gain * float(irradiance @ WEIGHTS) / whole_irradiance, bool(grid.clipped[source.texels].any()))
 
 
-def _restored_irradiance(grid: Grid, sources: list[Source]) -> Array:
-    """What each source is taken to give in place of what the tone curve says, in units of the frame's mean irradiance.
+def _gains(grid: Grid, sources: list[Source], whole: float) -> Array:
+    """Factors for what each source gives by the tone curve.
 
     The curve ends at 11.8, a sun does not. MR360 section 4.1 raises lights "of smaller solid angles" by an ad-hoc mapping. So
     do we, by the clipped solid angle: 1.5 / (1 + Omega / 0.01 sr), less for glints below 3e-4 sr. What is clipped below the
@@ -143,4 +143,10 @@ def _restored_irradiance(grid: Grid, sources: list[Source]) -> Array:
     above = np.array([luminance_of(source.excess) * grid.solid_angle(source.texels) @ grid.directions[source.texels, 1]
                       for source in sources]) > 0.0
     ratio = np.where(above, 1.5 / (1 + clipped / 0.01) * clipped / (clipped + 3e-4), 0.0)
-    return np.asarray(ratio * ratio / max(float(ratio.sum()), 1e-12))
+    restored = ratio * ratio / max(float(ratio.sum()), 1e-12) * whole
+    shown = np.array([luminance_of(source.excess) @ grid.solid_angle(source.texels) for source in sources])
+    return np.asarray(np.clip(restored / np.maximum(shown, 1e-12), 1.0, MAX_GAIN))
+
+
+def _given_gains(grid: Grid, sources: list[Source], gain: float) -> Array:
+    return np.array([gain if grid.clipped[source.texels].any() else 1.0 for source in sources])

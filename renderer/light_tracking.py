@@ -8,6 +8,7 @@ at once: there is no energy left to fade.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -124,7 +125,7 @@ class LightTracker:
         if not candidates or not self._tracks:
             return {}
         before, now = [track.light for track in self._tracks], [candidate.light for candidate in candidates]
-        angle = np.arccos(np.clip(np.array([a.direction for a in before]) @ np.array([b.direction for b in now]).T, -1, 1))
+        angle = _angles(before, now)
         logs = [np.log(np.maximum(np.array([light.irradiance for light in lights]) @ WEIGHTS, 1e-9)) for lights in (before, now)]
         power = logs[0][:, None] - logs[1][None, :]
         cost = (angle / MAX_STEP) ** 2 + 0.1 * power**2
@@ -136,3 +137,29 @@ class LightTracker:
                       key=lambda track: -float(track.presence * track.light.irradiance @ WEIGHTS))[:MAX_LIGHTS]
         return found.detection([(replace(track.light, irradiance=track.presence * track.light.irradiance), track.source,
                                  track.presence) for track in kept])
+
+
+class LightNames:
+    """Ids for lights of methods that know nothing of time: a light has the id of the nearest one in the frame before."""
+
+    def __init__(self) -> None:
+        self._before: tuple[Light, ...] = ()
+        self._next_id = 1
+
+    def named(self, lights: tuple[Light, ...]) -> tuple[Light, ...]:
+        names: dict[int, int] = {}
+        if self._before and lights:
+            angle = _angles(self._before, lights)
+            rows, columns = linear_sum_assignment(np.minimum(angle, MAX_STEP))
+            names = {int(c): self._before[r].id for r, c in zip(rows, columns, strict=True) if angle[r, c] < MAX_STEP}
+        found = []
+        for index, light in enumerate(lights):
+            found.append(replace(light, id=names.get(index, self._next_id)))
+            self._next_id += index not in names
+        self._before = tuple(found)
+        return self._before
+
+
+def _angles(before: Sequence[Light], now: Sequence[Light]) -> Array:
+    cosines = np.array([light.direction for light in before]) @ np.array([light.direction for light in now]).T
+    return np.asarray(np.arccos(np.clip(cosines, -1, 1)))

@@ -37,12 +37,14 @@ MIRROR_BELOW = MIN_ROUGHNESS / 2
 @dataclass(frozen=True)
 class Illumination:
     """What lights the objects in one frame: irradiance by normal and radiance prefiltered for each roughness in use, both of
-    the map without its lights; the lights; the ground's height (None: no ground)."""
+    the map without its lights; the lights; the ground's height (None: no ground); the frame with mip levels where the papers'
+    rings stand in for the prefiltered maps."""
 
     irradiance: Array32
     lights: tuple[Light, ...]
     lobes: dict[float, Array32]
     ground_y: float | None
+    rings: moderngl.Texture | None = None
 
 
 @dataclass(frozen=True)
@@ -118,6 +120,12 @@ class Shading(NamedTuple):
     lights: int
     lobes: bool
     mirrors: bool
+    rings: bool = False
+
+    @property
+    def shows_frame(self) -> bool:
+        """Whether every frame needs shading of its own, even if neither light nor surfaces have changed."""
+        return self.mirrors or self.rings
 
 
 class _ViewTarget:
@@ -153,7 +161,7 @@ class ObjectStage:
                                  for textured in (False, True)}
         self._shading: dict[Shading, tuple[moderngl.Program, moderngl.VertexArray]] = {}
         table = dfg_table()
-        self._dfg = context.texture((table.shape[1], table.shape[0]), 2, "f4")
+        self._dfg = context.texture((table.shape[1], table.shape[0]), 4, "f4")
         self._dfg.write(table.tobytes())
         self._targets: dict[tuple[int, int, bool], list[_ViewTarget]] = {}
         self._lobe_atlas = context.texture((1, 1), 4, "f4")
@@ -166,7 +174,7 @@ class ObjectStage:
         if kind not in self._shading:
             program = self._context.program("full_screen.vert.glsl", "shade.frag.glsl", {
                 **self._panorama.defines, "TEXTURED": int(kind.textured), "LIGHTS": kind.lights,
-                "HAS_LOBES": int(kind.lobes), "HAS_MIRRORS": int(kind.mirrors)})
+                "HAS_LOBES": int(kind.lobes), "HAS_MIRRORS": int(kind.mirrors), "HAS_RINGS": int(kind.rings)})
             self._shading[kind] = (program, self._context.gl.vertex_array(program, []))
         return self._shading[kind]
 
@@ -218,7 +226,7 @@ class ObjectStage:
         """Draw the view's members. Returns the texture and the part of it, in pixels, that the view fills."""
         target, kind = self._prepared(view, objects)
         # what no mirror shows is the same for as long as light and surfaces are
-        if kind.mirrors or target.lit_by is not self._illumination:
+        if kind.shows_frame or target.lit_by is not self._illumination:
             self._shade(view, target, kind)
             target.lit_by = self._illumination
         return target.texture, view.size
@@ -226,7 +234,7 @@ class ObjectStage:
     def draw_still(self, views: list[View], objects: list[PlacedMesh]) -> None:
         """Draw, ahead of the next frame, the views that do not depend on it: those without mirrors."""
         for view in views:
-            if not self._prepared(view, objects)[1].mirrors:
+            if not self._prepared(view, objects)[1].shows_frame:
                 self.draw(view, objects)
 
     def _prepared(self, view: View, objects: list[PlacedMesh]) -> tuple[_ViewTarget, Shading]:
@@ -237,9 +245,10 @@ class ObjectStage:
         if target.view is not view or target.lobe_cells != self._lobe_cells:
             target.roughnesses = self._draw_surfaces(view, members, target, textured)
             target.view, target.lobe_cells, target.lit_by = view, self._lobe_cells, None
-        return target, Shading(textured, self._slots,
-                               lobes=bool(self._lobe_cells) and (textured or max(target.roughnesses) >= MIRROR_BELOW),
-                               mirrors=textured or min(target.roughnesses) < MIRROR_BELOW)
+        glossy = textured or max(target.roughnesses) >= MIRROR_BELOW
+        return target, Shading(textured, self._slots, lobes=glossy and bool(self._lobe_cells),
+                               mirrors=textured or min(target.roughnesses) < MIRROR_BELOW,
+                               rings=glossy and self._illumination is not None and self._illumination.rings is not None)
 
     def compile_variants(self, view: View) -> None:
         """Shade a view that has been drawn, once with each program that untextured objects may need."""
@@ -334,6 +343,7 @@ class ObjectStage:
         self._panorama.bind(program)
         textures = {"radiance_map": self._radiance_texture, "dfg_table": self._dfg, "lobe_atlas": self._lobe_atlas,
                     "surfaces": target.surfaces,
+                    **({"ring_map": self._illumination.rings} if kind.rings and self._illumination else {}),
                     **dict(zip(("geometry", "color_metallic", "emissive_roughness"), target.samples, strict=False))}
         for unit, (name, texture) in enumerate(textures.items(), start=FIRST_UNIT):
             texture.use(unit)

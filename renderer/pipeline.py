@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
+import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,52 +15,27 @@ from renderer.frame import Frame, RadianceFrame, RgbFrame, YuvFrame, check_size
 from renderer.gl import Context, release_all
 from renderer.gltf import GltfError, transform
 from renderer.inverse_tone_mapping import WEIGHTS, linear_from_radiance
-from renderer.irradiance import disc_cosine, irradiance, project
-from renderer.light_detection import Detection, find_candidates
-from renderer.light_tracking import LightTracker
+from renderer.irradiance import disc_cosine, irradiance
+from renderer.light_detection import MAX_LIGHTS, Light
+from renderer.light_reading import FrameLight, LightReader
 from renderer.mesh import Surface
 from renderer.mesh_library import MeshLibrary
 from renderer.objects import MIRROR_BELOW, GpuMesh, Illumination, ObjectStage, PlacedMesh
 from renderer.panorama import PanoramaTextures
 from renderer.placement import TILE, TileMask, View, plan_views, touched_tiles
 from renderer.radiance_map import RadianceMapStage, packed_pixels
-from renderer.scene import Scene, SceneObject
+from renderer.ring_sampling import RingSource
+from renderer.scene import Lighting, Scene, SceneObject
 from renderer.shadows import ShadowMap, ShadowStage, world_points
-from renderer.specular import irradiance_map, prefilter_all, quantized_roughness, resample
+from renderer.specular import prefilter_all, quantized_roughness
+from renderer.threshold_detection import HEIGHT as THRESHOLD_HEIGHT
+from renderer.threshold_detection import WIDTH as THRESHOLD_WIDTH
+from renderer.timings import Timings
 
 Array = NDArray[np.float64]
 UP = np.array([0.0, 1.0, 0.0])
 MIN_CAMERA_DISTANCE_M = 0.05
-SMALL_ROWS = 64             # of the residual for spherical harmonics and prefiltering, which use no more
 MIN_GROUND_SHARE = 0.02    # of the ground's irradiance; weaker lights cast no visible shadow
-
-
-@dataclass
-class Timings:
-    """Milliseconds of each stage of one frame."""
-
-    stages: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        start = time.perf_counter()
-        yield
-        self.stages[name] = self.stages.get(name, 0.0) + (time.perf_counter() - start) * 1e3
-
-    @property
-    def total(self) -> float:
-        return sum(self.stages.values())
-
-
-@dataclass(frozen=True)
-class FrameLight:
-    """The light of one frame: lights and residual; the residual's (25, 3) spherical harmonics; the map that lights surfaces
-    together with the lights that are not wide, small, and its irradiance by the direction of the normal."""
-
-    detection: Detection
-    coefficients: Array
-    soft: NDArray[np.float32]
-    irradiance: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -79,6 +52,7 @@ class _Lit:
     """A placement under a light: what the ground receives, and the tiles of every shadow."""
 
     light: FrameLight
+    lighting: Lighting
     placement: Placement
     ground: GroundLight | None
     maps: list[Touched]
@@ -109,18 +83,20 @@ class Pipeline:
         self._shadows = ShadowStage(context, size)
         self._composite = CompositeStage(context, self._panorama)
         self._meshes = MeshLibrary(lambda mesh: GpuMesh(context, self._objects.surface_programs, mesh), assets, mesh_root)
-        self._tracker = LightTracker()
+        self._reader = LightReader()
+        self._upper: RadianceMapStage | None = None     # made when it is first wanted
+        self._rings: RingSource | None = None
         self._lit: _Lit | None = None
         self._shadow_tiles: dict[tuple[ShadowMap, float], TileMask] = {}
         self._last_placement: tuple[Scene, dict[str, float], Placement] | None = None
 
-    def analyse(self, frame: Frame, moment: float | None = None) -> tuple[FrameLight, Timings]:
+    def analyse(self, frame: Frame, moment: float | None = None, lighting: Lighting | None = None) -> tuple[FrameLight, Timings]:
         """Find the light of a frame shown at `moment` seconds without compositing anything."""
         timings = Timings()
         with timings.stage("upload"):
             self._panorama.write(frame, only_packed=True)
             self._panorama.use()
-        return self._light(timings, moment), timings
+        return self._light(timings, moment, lighting or Lighting()), timings
 
     def render(self, frame: Frame, scene: Scene, *, light: FrameLight | None = None, moment: float | None = None,
                output: YuvFrame | None = None) -> Rendered:
@@ -135,11 +111,15 @@ class Pipeline:
         visible = [item for item in scene.objects if item.visible]
         with timings.stage("place"):
             placement = self._placement(scene, visible)
+        rings = scene.lighting.method("glossy") == "rings36" and bool(placement.objects)
         with timings.stage("upload"):
-            self._panorama.write(frame, only_packed=not any(item.may_mirror for item in placement.objects.values()))
+            self._panorama.write(frame, only_packed=not (rings or any(item.may_mirror for item in placement.objects.values())))
             self._panorama.use()
         if light is None:
-            light = self._light(timings, moment)
+            light = self._light(timings, moment, scene.lighting)
+        if rings:
+            with timings.stage("glossy"):
+                self._fill_rings(light)
         if not visible:
             return Rendered(frame if output is None else _copied(frame, output), light, 0.0, timings, {})
         lit = self._light_scene(scene, light, placement, timings)
@@ -153,10 +133,10 @@ class Pipeline:
         fraction = len(touched) * TILE * TILE / (self._size[0] * self._size[1])
         return Rendered(composited, light, fraction, timings, placement.errors)
 
-    def read_light(self, moment: float | None = None) -> tuple[FrameLight, Timings]:
+    def read_light(self, moment: float | None = None, lighting: Lighting | None = None) -> tuple[FrameLight, Timings]:
         """The light of the frame that was rendered last, which is shown at `moment` seconds."""
         timings = Timings()
-        return self._light(timings, moment), timings
+        return self._light(timings, moment, lighting or Lighting()), timings
 
     def prepare(self, light: FrameLight) -> Timings:
         """Do now what the next frame would need first to be lit by this light, if its scene is that of the last frame."""
@@ -175,15 +155,23 @@ class Pipeline:
             self._objects.compile_variants(self._lit.placement.views[0])
             self._composite.compile_variants()
 
-    def _light(self, timings: Timings, moment: float | None) -> FrameLight:
+    def _light(self, timings: Timings, moment: float | None, lighting: Lighting) -> FrameLight:
         with timings.stage("radiance_map"):
             radiance_map = self._radiance.run()
-        with timings.stage("lights"):
-            detection = self._tracker.update(find_candidates(radiance_map), moment)
-        with timings.stage("irradiance"):
-            soft = _small(detection.soft)
-            residual = soft if detection.soft is detection.residual else _small(detection.residual)
-            return FrameLight(detection, project(residual), soft, irradiance_map(soft))
+        return self._reader.read(radiance_map, self._upper_half, lighting, moment, timings)
+
+    def _fill_rings(self, light: FrameLight) -> None:
+        if self._rings is None:
+            self._rings = RingSource(self._context, self._panorama, self._radiance.size)
+        width, height = self._radiance.size
+        kept = np.ones((height, width), dtype=np.float32) if light.kept is None else light.kept
+        self._rings.fill(kept, light.detection.threshold if light.method == "threshold" else 0.0)
+
+    def _upper_half(self) -> NDArray[np.float32]:
+        """The frame as the papers' detection wants it."""
+        if self._upper is None:
+            self._upper = RadianceMapStage(self._context, self._panorama, (THRESHOLD_WIDTH, THRESHOLD_HEIGHT))
+        return self._upper.run_rows(THRESHOLD_HEIGHT // 2)
 
     def _placement(self, scene: Scene, visible: list[SceneObject]) -> Placement:
         """Where the scene's objects stand; kept until the scene or a model's file changes."""
@@ -219,21 +207,23 @@ class Pipeline:
 
     def _light_scene(self, scene: Scene, light: FrameLight, placement: Placement, timings: Timings) -> _Lit:
         """What follows from light and placement together; kept until one of them is another."""
-        if self._lit is not None and self._lit.light is light and self._lit.placement is placement:
+        if self._lit is not None and self._lit.light is light and self._lit.placement is placement and (
+                self._lit.lighting == scene.lighting):
             return self._lit
         with timings.stage("glossy"):
             self._objects.keep(placement.views)
-            self._objects.set_illumination(_illumination(scene, light, list(placement.objects.values())))
+            rings = self._rings.texture if self._rings is not None and scene.lighting.method("glossy") == "rings36" else None
+            self._objects.set_illumination(_illumination(scene, light, list(placement.objects.values()), rings))
         with timings.stage("shadows"):
             ground = self._ground_light(scene, light)
             maps, ambient = self._cast(scene, placement.objects, light, ground) if ground else ([], [])
-        self._lit = _Lit(light, placement, ground, maps, ambient)
+        self._lit = _Lit(light, scene.lighting, placement, ground, maps, ambient)
         return self._lit
 
     def _ground_light(self, scene: Scene, light: FrameLight) -> GroundLight | None:
         if not scene.ground.catcher:
             return None
-        lights = [item.irradiance * float(disc_cosine(item.direction @ UP, item.angular_radius)) for item in light.detection.lights]
+        lights = [item.irradiance * float(disc_cosine(item.direction @ UP, item.angular_radius)) for item in _rendered(light)]
         ambient = np.maximum(irradiance(light.coefficients, UP), 0.0)
         return GroundLight(-scene.camera_height, ambient + sum(lights, np.zeros(3)), lights)
 
@@ -241,11 +231,11 @@ class Pipeline:
               ground: GroundLight) -> tuple[list[Touched], list[Touched]]:
         casters = {item.id: placed[item.id] for item in scene.objects if item.id in placed and item.casts_shadow}
         gate = MIN_GROUND_SHARE * float(ground.total @ WEIGHTS)
-        self._shadows.begin(set(casters), {item.id for item in light.detection.lights})
+        self._shadows.begin(set(casters), {item.id for item in _rendered(light)})
         maps: list[ShadowMap | None] = []
         ambient: list[ShadowMap | None] = []
         for key, caster in casters.items():
-            for index, item in enumerate(light.detection.lights):
+            for index, item in enumerate(_rendered(light)):
                 if ground.lights[index] @ WEIGHTS > gate:
                     maps.append(self._shadows.light_shadow(key, caster, item, index, ground.y))
             ambient.append(self._shadows.ambient_shadow(key, caster, ground.y))
@@ -280,12 +270,12 @@ class Pipeline:
 
     def reset(self) -> None:
         """Forget the lights of earlier frames."""
-        self._tracker.reset()
+        self._reader.reset()
 
     def release(self) -> None:
         self._context.rest()
         self._meshes.release()
-        release_all(self._composite, self._shadows, self._objects, self._radiance, self._panorama)
+        release_all(self._composite, self._shadows, self._objects, self._radiance, self._panorama, self._upper, self._rings)
 
 
 def _copied(frame: Frame, output: YuvFrame | None) -> YuvFrame:
@@ -297,17 +287,17 @@ def _copied(frame: Frame, output: YuvFrame | None) -> YuvFrame:
     return output
 
 
-def _small(radiance: Array) -> NDArray[np.float32]:
-    small = radiance.astype(np.float32)
-    return resample(small, SMALL_ROWS, 2 * SMALL_ROWS) if small.shape[0] > SMALL_ROWS else small
-
-
-def _illumination(scene: Scene, light: FrameLight, objects: list[PlacedMesh]) -> Illumination:
+def _illumination(scene: Scene, light: FrameLight, objects: list[PlacedMesh], rings: moderngl.Texture | None) -> Illumination:
     surfaces = [surface for item in objects for surface in item.surfaces]
-    wanted = {quantized_roughness(s.roughness) for s in surfaces if s.roughness >= MIRROR_BELOW}
-    lights = tuple(item for item in light.detection.lights if not item.is_wide)
+    wanted = {quantized_roughness(s.roughness) for s in surfaces if s.roughness >= MIRROR_BELOW and rings is None}
+    lights = tuple(item for item in _rendered(light) if not item.is_wide)
     return Illumination(light.irradiance, lights, prefilter_all(light.soft, wanted),
-                        -scene.camera_height if scene.ground.catcher else None)
+                        -scene.camera_height if scene.ground.catcher else None, rings)
+
+
+def _rendered(light: FrameLight) -> tuple[Light, ...]:
+    """The strongest lights; the methods of the papers set no limit to their number."""
+    return light.detection.lights[:MAX_LIGHTS]
 
 
 def _surface(item: SceneObject, mesh: GpuMesh) -> Surface | None:

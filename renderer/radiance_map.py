@@ -48,9 +48,10 @@ def packed_pixels(kind: type[Frame], size: tuple[int, int]) -> int:
 class RadianceMapStage:
     """Owns the reduction pass of one source geometry."""
 
-    def __init__(self, context: Context, panorama: PanoramaTextures) -> None:
+    def __init__(self, context: Context, panorama: PanoramaTextures, size: tuple[int, int] | None = None) -> None:
+        """`size`: of the map, None for the usual one."""
         self._panorama = panorama
-        self.size = map_size(panorama.size)
+        self.size = map_size(panorama.size) if size is None else size
         packed = panorama.packed
         cell = (packed, 2) if packed else (1, 1)
         counts = [frame // (texels * side) for frame, texels, side in zip(panorama.size, self.size, cell, strict=True)]
@@ -65,13 +66,21 @@ class RadianceMapStage:
 
     def run(self) -> RadianceMap:
         """Reduce the frame that is in the panorama's textures. The full map also stays in `texture` for mirrors."""
+        texels = self._draw(self.size[1]).astype(np.float64)
+        return RadianceMap(texels[..., :3], texels[..., 3])
+
+    def run_rows(self, rows: int) -> NDArray[np.float32]:
+        """Only the uppermost rows: (rows, width, 3) radiance."""
+        return self._draw(rows)[..., :3]
+
+    def _draw(self, rows: int) -> NDArray[np.float32]:
         self._panorama.bind(self._program)
         set_uniforms(self._program, {"map_size": self.size})
         self._target.use()
+        self._target.viewport = viewport = (0, 0, self.size[0], rows)
         self._triangle.render(moderngl.TRIANGLES, 3)
-        pixels = np.frombuffer(self._target.read(components=4, dtype="f4"), dtype="f4")
-        texels = pixels.reshape(self.size[1], self.size[0], 4).astype(np.float64)
-        return RadianceMap(texels[..., :3], texels[..., 3])
+        pixels = np.frombuffer(self._target.read(viewport, components=4, dtype="f4"), dtype="f4")
+        return pixels.reshape(rows, self.size[0], 4)
 
     def release(self) -> None:
         release_all(self._triangle, self._target, self.texture, self._program)

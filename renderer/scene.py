@@ -8,6 +8,7 @@ Units and axes: metres, right-handed, +Y up, -Z forward, the panorama camera at 
 from __future__ import annotations
 
 import math
+import re
 from typing import Annotated, Literal
 
 from pydantic import (
@@ -111,29 +112,52 @@ class Ground(_Value):
     roughness: Unit = 0.3
 
 
-# The contract names more methods than this version has; the others are refused by name rather than quietly replaced.
-AVAILABLE_METHODS = {"preset": "default", "diffuse": "sh", "glossy": "ggx", "lights": "default", "shadows": "area",
-                     "composite": "ratio"}
+STAGES = ("diffuse", "glossy", "lights", "shadows", "composite")
+PRESETS = {"default": dict(zip(STAGES, ("auto", "ggx", "default", "area", "ratio"), strict=True)),
+           "paper": dict(zip(STAGES, ("map32x16", "rings36", "threshold", "pcf", "additive"), strict=True))}
+# The contract names more methods than this version has; they are refused by name rather than quietly replaced.
+NOT_AVAILABLE = {"preset": "paper", "shadows": "pcf", "composite": "additive"}
+MAX_GAIN = 1e4
+
+
+def _diffuse_map(value: str) -> str:
+    if value in ("auto", "sh", "convolution"):
+        return value
+    found = re.fullmatch(r"map(\d{1,3})x(\d{1,3})", value)
+    if found is None or not 16 <= int(found[1]) <= 128 or int(found[1]) != 2 * int(found[2]):
+        raise ValueError(f"diffuse {value!r}, expected auto, sh, convolution or mapWxH (16x8 to 128x64, twice as wide as high)")
+    return value
 
 
 class Lighting(_Value):
-    """The method of each stage: a preset, single stages overridden."""
+    """The method of each stage: a preset, single stages overridden.
+
+    `light_count`: of the probe. `threshold`: standard deviations above the mean from which on a light is looked for. `gain`: factor
+    for lights that the camera clips, in place of the estimate.
+    """
 
     preset: Literal["default", "paper"] = "default"
-    diffuse: Literal["sh", "map32x16"] | None = None
+    diffuse: Annotated[str, AfterValidator(_diffuse_map)] | None = None
     glossy: Literal["ggx", "rings36"] | None = None
     lights: Literal["default", "threshold", "probe"] | None = None
     light_count: Literal["auto"] | Annotated[int, Field(ge=0, le=64)] | None = None
+    threshold: Annotated[float, Field(ge=0.5, le=20.0)] | None = None
+    gain: Annotated[float, Field(ge=0.1, le=MAX_GAIN)] | None = None
     shadows: Literal["area", "pcf"] | None = None
     composite: Literal["ratio", "additive"] | None = None
 
     @model_validator(mode="after")
     def _available(self) -> Lighting:
-        for name, value in AVAILABLE_METHODS.items():
-            chosen = getattr(self, name)
-            if chosen not in (None, value):
-                raise ValueError(f"{name} {chosen!r} is not available yet, expected {value!r}")
+        for name, value in NOT_AVAILABLE.items():
+            if getattr(self, name) == value:
+                expected = PRESETS["default"].get(name, "default")
+                raise ValueError(f"{name} {value!r} is not available yet, expected {expected!r}")
         return self
+
+    def method(self, stage: str) -> str:
+        """The method in use for one of `STAGES`."""
+        chosen: str | None = getattr(self, stage)
+        return PRESETS[self.preset][stage] if chosen is None else chosen
 
 
 class Scene(_Value):

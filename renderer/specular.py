@@ -1,4 +1,4 @@
-"""Glossy and diffuse light: the radiance map filtered with the GGX lobes in use and with the cosine; the split sum.
+"""Glossy light: the radiance map filtered with the GGX lobes in use; the split sum.
 
 Prefiltering (Karis 2013, N = V = R) is a convolution with a kernel that depends on the angle only. On the equirectangular
 grid it is circular in azimuth, so a Fourier transform over the columns turns it into one small matrix product per
@@ -22,8 +22,6 @@ Floats = NDArray[np.floating]
 MIN_ROUGHNESS = 0.2     # a narrower lobe is nearer to a mirror than to any map this small
 ROUGHNESS_STEP = 1 / 128
 DFG_SIZE = 64
-IRRADIANCE_ROWS = 32
-COSINE_FREQUENCIES = 25     # over azimuth; what they leave out is part of the error that `make bench-light` prints
 _SUBSAMPLES = 3
 
 
@@ -61,48 +59,32 @@ def prefilter(radiance: Floats, roughness: float) -> Array32:
     """(height, width, 3) map to (rows, 2 rows, 3) radiance as a GGX lobe of that roughness sees it."""
     rows = map_rows(roughness)
     small = radiance if radiance.shape[:2] == (rows, 2 * rows) else resample(radiance, rows, 2 * rows)
-    spectrum = np.fft.rfft(small, axis=1).transpose(1, 0, 2)  # frequency, row, channel
+    return filtered(small, _kernel(quantized_roughness(roughness), rows))
+
+
+def filtered(radiance: Floats, kernel: Array32) -> Array32:
+    """(rows, columns, 3) map convolved with a kernel as `spectrum_of` gives it, on the same grid; never negative."""
+    spectrum = np.fft.rfft(radiance, axis=1).transpose(1, 0, 2)  # frequency, row, channel
     parts = np.concatenate([spectrum.real, spectrum.imag], axis=2).astype(np.float32)
-    filtered = _kernel(quantized_roughness(roughness), rows) @ parts
-    lobes = np.fft.irfft((filtered[..., :3] + 1j * filtered[..., 3:]).transpose(1, 0, 2), n=2 * rows, axis=1)
-    return np.maximum(lobes, 0.0).astype(np.float32)
-
-
-def irradiance_map(radiance: Floats) -> Array32:
-    """(height, width, 3) map to (IRRADIANCE_ROWS, 2 IRRADIANCE_ROWS, 3) irradiance by the direction of the normal.
-
-    The papers' diffuse radiance map (Iorns & Rhee section 4.2), but exact: the same convolution, with the clamped cosine.
-    """
-    columns = 2 * IRRADIANCE_ROWS
-    spectrum = np.fft.rfft(radiance, axis=1)[:, :COSINE_FREQUENCIES].transpose(1, 0, 2)
-    parts = np.concatenate([spectrum.real, spectrum.imag], axis=2).astype(np.float32)
-    filtered = _cosine_kernel(*radiance.shape[:2])[:len(parts)] @ parts
-    # the spectrum of the finer columns starts half of their width further left
-    turn = np.exp(1j * np.pi * np.arange(len(filtered)) * (1 / columns - 1 / radiance.shape[1]))[:, None, None]
-    found = np.fft.irfft(((filtered[..., :3] + 1j * filtered[..., 3:]) * turn).transpose(1, 0, 2), n=columns, axis=1)
-    return np.asarray(np.maximum(found * (columns / radiance.shape[1]), 0.0), dtype=np.float32)
-
-
-@lru_cache(maxsize=4)
-def _cosine_kernel(height: int, width: int) -> Array32:
-    """(frequencies, rows out, height) real spectrum over azimuth of the clamped cosine times solid angle; a constant gives pi."""
-    kernel = _azimuthal_kernel(lambda cosine: np.maximum(cosine, 0.0), IRRADIANCE_ROWS, height, max(1, width // 2))
-    return np.asarray(_spectrum(kernel * np.float32(np.pi))[:COSINE_FREQUENCIES].copy(), dtype=np.float32)
+    found = kernel @ parts
+    lobes = np.fft.irfft((found[..., :3] + 1j * found[..., 3:]).transpose(1, 0, 2), n=radiance.shape[1], axis=1)
+    return np.asarray(np.maximum(lobes, 0.0), dtype=np.float32)
 
 
 @lru_cache(maxsize=32)
 def _kernel(roughness: float, rows: int) -> Array32:
     """(frequencies, rows out, rows in) real spectrum over azimuth of the normalised, solid-angle weighted lobe."""
-    return _spectrum(_azimuthal_kernel(lambda cosine: ggx_lobe(cosine, roughness), rows, rows, rows))
+    return spectrum_of(azimuthal_kernel(lambda cosine: ggx_lobe(cosine, roughness), rows, rows, rows))
 
 
-def _spectrum(kernel: Array32) -> Array32:
+def spectrum_of(kernel: Array32) -> Array32:
     return np.ascontiguousarray(np.fft.rfft(kernel, axis=2).real.transpose(2, 0, 1), dtype=np.float32)
 
 
-def _azimuthal_kernel(lobe: Callable[[Floats], Floats], rows_out: int, rows_in: int, half_turn: int) -> Array32:
+def azimuthal_kernel(lobe: Callable[[Floats], Floats], rows_out: int, rows_in: int, half_turn: int,
+                     subsamples: int = _SUBSAMPLES) -> Array32:
     """(rows out, rows in, columns) weight of a texel for a direction, by the columns between them; each row out sums to 1."""
-    offsets = (np.arange(_SUBSAMPLES, dtype=np.float32) + 0.5) / _SUBSAMPLES
+    offsets = (np.arange(subsamples, dtype=np.float32) + 0.5) / subsamples
     theta_out = ((np.arange(rows_out, dtype=np.float32) + 0.5) / rows_out * np.pi)[:, None, None]
     half = np.zeros((rows_out, rows_in, half_turn + 1), dtype=np.float32)   # the kernel is even in azimuth
     for row_offset in offsets:
@@ -140,12 +122,13 @@ def _overlap(source: int, target: int) -> Array:
 
 @lru_cache(maxsize=1)
 def dfg_table() -> Array32:
-    """(DFG_SIZE roughness rows, DFG_SIZE N.V columns, 2): scale A and bias B of F0 for one GGX lobe, F90 = 1.
+    """(DFG_SIZE roughness rows from 0 to 1, DFG_SIZE N.V columns, 4): scale A and bias B of F0 for one GGX lobe, F90 = 1;
+    d (A + B) / d alpha; 0.
 
     Importance-sampled with 512 stratified normals; height-correlated Smith shadowing.
     """
     n_dot_v = ((np.arange(DFG_SIZE) + 0.5) / DFG_SIZE)[None, :, None]
-    alpha = (((np.arange(DFG_SIZE) + 0.5) / DFG_SIZE) ** 2)[:, None, None]
+    alpha = ((np.arange(DFG_SIZE) / (DFG_SIZE - 1)) ** 2)[:, None, None]
     samples = 512
     u1 = (np.arange(samples) + 0.5) / samples
     phi = 2 * np.pi * ((np.arange(samples) * 0.6180339887498949) % 1.0)
@@ -160,5 +143,6 @@ def dfg_table() -> Array32:
                         + n_dot_v * np.sqrt(n_dot_l**2 * (1 - alpha**2) + alpha**2))
     weight = np.where(valid, 4 * visibility * n_dot_l * v_dot_h / cos_h, 0.0)
     fresnel = (1 - v_dot_h) ** 5
-    table = np.stack([((1 - fresnel) * weight).mean(axis=2), (fresnel * weight).mean(axis=2)], axis=-1)
-    return table.astype(np.float32)
+    scale, bias = ((1 - fresnel) * weight).mean(axis=2), (fresnel * weight).mean(axis=2)
+    slope = np.gradient(scale + bias, alpha[:, 0, 0], axis=0)
+    return np.stack([scale, bias, slope, np.zeros_like(slope)], axis=-1).astype(np.float32)

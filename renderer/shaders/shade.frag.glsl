@@ -2,6 +2,9 @@
 // the diffuse part, a prefiltered map (or the frame itself, for mirrors) and lights for the glossy part. Camera at the origin.
 #include "equirectangular.glsl"
 #include "panorama.glsl"
+#if HAS_RINGS
+#include "rings.glsl"
+#endif
 
 const int MAX_LOBES = 16;
 
@@ -68,12 +71,12 @@ vec3 nearest_lobe(float rough) {
 }
 #endif
 
-// Height-correlated Smith visibility times GGX, alpha widened by the light's size (Karis 2013) without losing energy.
-float ggx_reflection(float n_dot_h, float n_dot_l, float n_dot_v, float alpha, float alpha_light) {
-    float a2 = alpha_light * alpha_light;
+// Height-correlated Smith visibility times GGX. For a light of some size alpha is widened (Karis 2013), and with it the energy
+// that comes back in one bounce, so that a sky of such lights is a white furnace as well.
+float ggx_reflection(float n_dot_h, float n_dot_l, float n_dot_v, float alpha) {
+    float a2 = alpha * alpha;
     float d = n_dot_h * n_dot_h * (a2 - 1.0) + 1.0;
-    float b2 = alpha * alpha;
-    float v = 0.5 / (n_dot_l * sqrt(n_dot_v * n_dot_v * (1.0 - b2) + b2) + n_dot_v * sqrt(n_dot_l * n_dot_l * (1.0 - b2) + b2));
+    float v = 0.5 / (n_dot_l * sqrt(n_dot_v * n_dot_v * (1.0 - a2) + a2) + n_dot_v * sqrt(n_dot_l * n_dot_l * (1.0 - a2) + a2));
     return a2 / (PI * d * d) * v;
 }
 
@@ -90,12 +93,16 @@ vec3 shade(Surface s, vec3 view, vec3 reflected, vec3 step_x, vec3 step_y) {
     float alpha = max(s.roughness * s.roughness, 2e-3);
     bool mirror = s.roughness < mirror_below;
     vec3 f0 = mix(vec3(0.04), s.color, s.metallic);
-    vec2 ab = textureLod(dfg_table, vec2(n_dot_v, s.roughness), 0.0).rg;
-    vec3 compensation = 1.0 + f0 * (1.0 / max(ab.x + ab.y, 1e-3) - 1.0);
+    float rows = float(textureSize(dfg_table, 0).y);
+    vec3 ab = textureLod(dfg_table, vec2(n_dot_v, (s.roughness * (rows - 1.0) + 0.5) / rows), 0.0).rgb;
+    float whole = ab.x + ab.y;
+    vec3 compensation = 1.0 + f0 * (1.0 / max(whole, 1e-3) - 1.0);
     vec3 reflectance = (f0 * ab.x + ab.y) * compensation;
 
     vec3 mirrored = vec3(0.0);
-#if HAS_LOBES
+#if HAS_RINGS
+    for (int once = mirror ? 0 : 1; once > 0; --once) mirrored = ring_light(reflected, s.roughness);
+#elif HAS_LOBES
     mirrored = filtered_light(reflected, s.lobe);
 #endif
 #if HAS_MIRRORS
@@ -108,12 +115,13 @@ vec3 shade(Surface s, vec3 view, vec3 reflected, vec3 step_x, vec3 step_y) {
         vec3 l = light_direction[i], h = normalize(l + view);
         float n_dot_l = disc_cosine(dot(s.normal, l), light_radius[i]), away = 1.0 - clamp(dot(view, h), 0.0, 1.0);
         float away2 = away * away;
-        float spread = ggx_reflection(clamp(dot(s.normal, h), 0.0, 1.0), n_dot_l, n_dot_v, alpha,
-                                      min(1.0, alpha + 0.5 * light_radius[i]));
+        float widened = min(1.0, alpha + 0.5 * light_radius[i]);
+        float spread = ggx_reflection(clamp(dot(s.normal, h), 0.0, 1.0), n_dot_l, n_dot_v, widened);
+        vec3 recovered = 1.0 + f0 * (1.0 / max(whole + ab.z * (widened - alpha), 1e-3) - 1.0);
         vec3 fresnel = f0 + (1.0 - f0) * (away2 * away2 * away);
         e += light_irradiance[i] * n_dot_l;
         // what a mirror shows of the light is in the frame already
-        glossy += mirror ? vec3(0.0) : light_irradiance[i] * fresnel * compensation * (n_dot_l * spread);
+        glossy += mirror ? vec3(0.0) : light_irradiance[i] * fresnel * recovered * (n_dot_l * spread);
     }
     return s.color * (1.0 - s.metallic) * (1.0 - reflectance) * e / PI + glossy + s.emissive;
 }

@@ -20,8 +20,9 @@ from renderer.gl import Context
 from renderer.inverse_tone_mapping import MAX_RADIANCE, WEIGHTS
 from renderer.irradiance import basis, disc_cosine
 from renderer.light_detection import find_candidates
+from renderer.light_reading import FrameLight
 from renderer.light_tracking import LightTracker
-from renderer.pipeline import FrameLight, Pipeline
+from renderer.pipeline import Pipeline
 from renderer.radiance_map import RadianceMap, map_size
 from renderer.specular import resample
 from server.worker.images import RADIANCE_SUFFIXES, read_still

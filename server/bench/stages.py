@@ -22,8 +22,9 @@ from av.video.frame import VideoFrame
 
 from renderer.frame import YuvFrame
 from renderer.gl import Context, GLUnavailableError
-from renderer.pipeline import Pipeline, Timings
+from renderer.pipeline import Pipeline
 from renderer.scene import Scene
+from renderer.timings import Timings
 from server.demo.clip import demo_clip
 from server.demo.sample_scene import sample_scene
 from server.worker.encode import Composited, Encoder, default_bitrate

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from renderer.irradiance import basis
-from renderer.pipeline import FrameLight
+from renderer.light_reading import FrameLight
 
 _BAND_0 = float(basis(np.array([0.0, 1.0, 0.0]))[0])
 
@@ -20,9 +20,10 @@ def light_message(light: FrameLight, *, stream: str, frame: int, pts: float | No
     coefficients = light.coefficients[:9]
     return {
         "stream": stream, "frame": frame, "pts": None if pts is None else round(pts, 6), "rtp_timestamp": rtp_timestamp,
-        "captured_at": round(captured_at, 6), "method": "default", "threshold": _number(light.detection.threshold),
+        "captured_at": round(captured_at, 6), "method": light.method, "threshold": _number(light.detection.threshold),
         "lights": [{"id": item.id, "direction": _numbers(item.direction), "irradiance": _numbers(item.irradiance),
-                    "solid_angle": _number(item.solid_angle), "angular_radius": _number(item.angular_radius)}
+                    "solid_angle": _number(item.solid_angle), "angular_radius": _number(item.angular_radius),
+                    "gain": _number(item.gain)}
                    for item in lights],
         "ambient": _numbers(coefficients[0] * _BAND_0),
         "sphericalHarmonicsCoefficients": _numbers(coefficients.ravel()),

@@ -23,7 +23,7 @@ from renderer.frame import RadianceFrame, RgbFrame, YuvFrame
 from renderer.gl import Context, GLUnavailableError
 from renderer.inverse_tone_mapping import radiance_from_linear
 from renderer.pipeline import Pipeline, Rendered
-from renderer.scene import Scene
+from renderer.scene import Lighting, Scene
 from server.worker.clip import ClipWriter
 from server.worker.encode import CLOCK_RATE
 from server.worker.images import PANORAMA_SUFFIXES, RADIANCE_SUFFIXES, ImageError, read_still, write_still
@@ -87,14 +87,15 @@ def run_render(arguments: argparse.Namespace) -> int:
 def run_lights(arguments: argparse.Namespace) -> int:
     """Print the light message of a still, or of a video's first frame. Returns the exit status."""
     try:
-        if arguments.method != "default":
-            raise UsageError(f"method {arguments.method!r} is not available yet, expected default")
+        if arguments.count != "auto" and arguments.method != "probe":
+            raise UsageError(f"count {arguments.count} for method {arguments.method!r}, expected method probe")
+        lighting = Lighting(lights=arguments.method, light_count=arguments.count)
         suffix = arguments.input.suffix.lower()
         frame = (read_still(arguments.input) if suffix in PANORAMA_SUFFIXES | RADIANCE_SUFFIXES
                  else next(_video_frames(arguments.input))[0])
         context = Context()
         pipeline = Pipeline(context, type(frame), frame.size)
-        light, _ = pipeline.analyse(frame)
+        light, _ = pipeline.analyse(frame, lighting=lighting)
         message = light_message(light, stream=arguments.input.name, frame=1, pts=0.0, rtp_timestamp=0, captured_at=time.time())
         pipeline.release()
         context.release()

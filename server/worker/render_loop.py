@@ -15,7 +15,8 @@ import numpy as np
 
 from renderer.frame import YuvFrame
 from renderer.gl import Context
-from renderer.pipeline import FrameLight, Pipeline
+from renderer.light_reading import FrameLight
+from renderer.pipeline import Pipeline
 from renderer.scene import Scene
 from server.worker.encode import Composited, EncodeThread
 from server.worker.ingest import Ingest
@@ -212,7 +213,7 @@ class RenderLoop:
         if self._viewers:
             self._composite(picture, decoded, started, timestamp)
         else:
-            self._light, timings = self._pipeline.analyse(picture, decoded.decoded_at)
+            self._light, timings = self._pipeline.analyse(picture, decoded.decoded_at, self._scene.lighting)
             self._statistics.add((time.perf_counter() - started) * 1e3, timings.stages)
             self._send_lights(self._light, decoded, timestamp)
         self._rendered += 1
@@ -244,7 +245,7 @@ class RenderLoop:
         interval_s = 1 / self._encode.fps
         due_at = decoded.decoded_at + interval_s
         if self._next_light is None and self._schedule.has_time(READ, due_at):
-            self._next_light, timings = self._pipeline.read_light(decoded.decoded_at)
+            self._next_light, timings = self._pipeline.read_light(decoded.decoded_at, self._scene.lighting)
             self._schedule.took(READ, timings.total / 1e3)
             self._send_lights(self._next_light, decoded, timestamp)
             stages |= timings.stages

@@ -9,6 +9,8 @@ from renderer.color import YuvFormat
 from renderer.equirectangular import uv_from_direction
 from renderer.frame import Frame, RadianceFrame, RgbFrame, YuvFrame
 from renderer.gl import Context
+from renderer.light_detection import Detection, Light
+from renderer.light_reading import FrameLight
 from renderer.pipeline import Pipeline, Rendered
 from renderer.scene import Scene
 from tests.renderer.frames import direction, noise_frame, scene, sky_with_sun, yuv_from_linear
@@ -195,3 +197,28 @@ def test_a_frame_of_another_size_is_refused(context: Context) -> None:
     with pytest.raises(ValueError, match=r"frame is YuvFrame \(128, 64\), expected YuvFrame \(256, 128\)"):
         pipeline.render(noise_frame((128, 64)), Scene())
     pipeline.release()
+
+
+@pytest.mark.parametrize("roughness", [0.4, 0.6, 0.85, 1.0])
+def test_a_sky_of_lights_is_a_white_furnace_too(context: Context, roughness: float) -> None:
+    """512 analytic lights, each as large as its part of the sphere, added up: as white as the same sky as a map."""
+    count, slots = 512, 8
+    height = 1 - 2 * (np.arange(count) + 0.5) / count
+    azimuth = (np.arange(count) + 0.5) * np.pi * (3 - np.sqrt(5))
+    around = np.sqrt(1 - height**2)
+    directions = np.stack([around * np.cos(azimuth), height, around * np.sin(azimuth)], axis=1)
+    irradiance, radius = np.full(3, 4 * np.pi / count), 2 * float(np.arcsin(np.sqrt(1 / count)))
+    frame, black = RadianceFrame(np.zeros((128, 256, 3), np.float32)), np.zeros((64, 128, 3))
+    wanted = scene({"mesh": "sphere", "position": [0, 0, -1.2],
+                    "material": {"base_color": [1, 1, 1], "metallic": 1, "roughness": roughness}}, ground={"catcher": False})
+    pipeline, total = Pipeline(context, RadianceFrame, frame.size), np.zeros((128, 256))
+    for first in range(0, count, slots):
+        lights = tuple(Light(directions[index], irradiance, radius, id=index) for index in range(first, first + slots))
+        light = FrameLight(Detection(lights, black, black, 0.0), np.zeros((25, 3)), black.astype(np.float32),
+                           np.zeros((32, 64, 3), np.float32))
+        result = pipeline.render(frame, wanted, light=light).frame
+        assert isinstance(result, RadianceFrame)
+        total += result.rgb[..., 1]
+    pipeline.release()
+    row = total[64, 128:142]    # from the middle to N.V = 0.3
+    assert row == pytest.approx(1.0, abs=0.015)

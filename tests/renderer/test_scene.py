@@ -39,7 +39,7 @@ def test_ids_are_unique_across_objects_and_surfaces() -> None:
         Scene.model_validate({"objects": [item], "local_scene": [{**item, "role": "occluder"}]})
 
 
-@pytest.mark.parametrize("lighting", [{"preset": "paper"}, {"glossy": "rings36"}, {"lights": "probe"}])
+@pytest.mark.parametrize("lighting", [{"preset": "paper"}, {"shadows": "pcf"}, {"composite": "additive"}])
 def test_methods_that_are_not_there_yet_are_refused_by_name(lighting: dict[str, str]) -> None:
     with pytest.raises(ValidationError, match="is not available yet"):
         Scene.model_validate({"lighting": lighting})

@@ -130,3 +130,20 @@ def test_without_gl_one_line_says_what_to_install(radiance_map: Path, monkeypatc
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "install the packages libgl1 libegl1 libegl-mesa0 libgl1-mesa-dri" in done.stderr
+
+
+@pytest.mark.parametrize(("method", "arguments"), [("threshold", []), ("probe", []), ("probe", ["--count", "2"])])
+def test_lights_by_the_papers_methods(radiance_map: Path, method: str, arguments: list[str]) -> None:
+    done = mr360("lights", radiance_map, "--method", method, *arguments)
+    assert done.returncode == 0, done.stderr
+    message = json.loads(done.stdout)
+    assert message["method"] == method
+    assert message["lights"]
+    assert len(message["lights"]) == 2 or not arguments
+    assert message["primaryLightDirection"] == message["lights"][0]["direction"]
+
+
+def test_a_count_is_for_the_probe(radiance_map: Path) -> None:
+    done = mr360("lights", radiance_map, "--count", "3")
+    assert done.returncode == 2
+    assert "count 3 for method 'default', expected method probe" in done.stderr

@@ -1,0 +1,102 @@
+"""Reads the light of each frame from its radiance map, by the methods that the scene asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.diffuse import diffuse_map
+from renderer.inverse_tone_mapping import WEIGHTS
+from renderer.irradiance import project
+from renderer.light_detection import MIN_ANGULAR_RADIUS, Detection, Light, find_candidates
+from renderer.light_fitting import Probe
+from renderer.light_tracking import LightNames, LightTracker
+from renderer.radiance_map import RadianceMap
+from renderer.scene import Lighting
+from renderer.specular import resample
+from renderer.threshold_detection import SIGMAS, detect_by_threshold
+from renderer.timings import Timings
+
+Array = NDArray[np.float64]
+SMALL_ROWS = 64             # of the residual for spherical harmonics and prefiltering, which use no more
+
+
+@dataclass(frozen=True)
+class FrameLight:
+    """The light of one frame: lights and residual; the residual's (25, 3) spherical harmonics; the map that lights surfaces
+    together with the lights that are not wide, small, and its irradiance by the direction of the normal; the detection's method;
+    what share of each texel's luminance is in that map, for methods that go back to the frame itself (None: not asked for)."""
+
+    detection: Detection
+    coefficients: Array
+    soft: NDArray[np.float32]
+    irradiance: NDArray[np.float32]
+    method: str = "default"
+    kept: NDArray[np.float32] | None = None
+
+
+class LightReader:
+    """Reads one frame after another; keeps what the methods remember of earlier ones."""
+
+    def __init__(self) -> None:
+        self._tracker, self._probe, self._names = LightTracker(), Probe(), LightNames()
+        self._method = "default"
+
+    def reset(self) -> None:
+        """The next frame has nothing to do with the last one."""
+        self._tracker.reset()
+        self._probe.reset()
+
+    def read(self, radiance_map: RadianceMap, upper: Callable[[], NDArray[np.float32]], lighting: Lighting,
+             moment: float | None, timings: Timings) -> FrameLight:
+        """`upper` gives the upper half of the frame as the papers' detection wants it, if it is asked for."""
+        method = lighting.method("lights")
+        if method != self._method:
+            self.reset()
+            self._method = method
+        with timings.stage("lights"):
+            if method == "threshold":
+                detection = self._by_threshold(radiance_map, upper(), lighting)
+            elif method == "probe":
+                detection = self._by_probe(radiance_map, lighting)
+            else:
+                detection = self._tracker.update(find_candidates(radiance_map, lighting.threshold, lighting.gain), moment)
+        with timings.stage("irradiance"):
+            soft = _small(detection.soft)
+            coefficients = project(soft)
+            irradiance = diffuse_map(lighting.method("diffuse"), soft, coefficients)
+            if detection.soft is not detection.residual:
+                coefficients = project(_small(detection.residual))
+            kept = _kept(radiance_map, detection) if lighting.method("glossy") == "rings36" else None
+            return FrameLight(detection, coefficients, soft, irradiance, method, kept)
+
+    def _by_threshold(self, radiance_map: RadianceMap, upper: NDArray[np.float32], lighting: Lighting) -> Detection:
+        found = detect_by_threshold(upper, radiance_map.rgb, SIGMAS if lighting.threshold is None else lighting.threshold)
+        return replace(found, lights=self._names.named(found.lights))
+
+    def _by_probe(self, radiance_map: RadianceMap, lighting: Lighting) -> Detection:
+        def guess() -> Array:
+            candidates = find_candidates(radiance_map, lighting.threshold, lighting.gain).candidates
+            return np.array([item.light.direction for item in candidates]).reshape(-1, 3)
+
+        count = lighting.light_count if isinstance(lighting.light_count, int) else None
+        fit = self._probe.fit(radiance_map.rgb, guess, count)
+        lights = tuple(Light(direction, irradiance, MIN_ANGULAR_RADIUS) for direction, irradiance in
+                       zip(fit.directions, fit.irradiances, strict=True))
+        ordered = sorted(self._names.named(lights), key=lambda light: -float(light.irradiance @ WEIGHTS))
+        # all that the model has besides its lights is an ambient term
+        ambient = np.broadcast_to(fit.ambient, radiance_map.rgb.shape)
+        return Detection(tuple(ordered), ambient, ambient, 0.0)
+
+
+def _kept(radiance_map: RadianceMap, detection: Detection) -> NDArray[np.float32]:
+    luminance = np.maximum(radiance_map.rgb @ WEIGHTS, 1e-12)
+    return np.asarray(np.clip(detection.soft @ WEIGHTS / luminance, 0.0, 1.0), dtype=np.float32)
+
+
+def _small(radiance: Array) -> NDArray[np.float32]:
+    small = radiance.astype(np.float32)
+    return resample(small, SMALL_ROWS, 2 * SMALL_ROWS) if small.shape[0] > SMALL_ROWS else small
