@@ -50,8 +50,8 @@ $(VENV)/.test-ready: $(VENV)/.run-ready requirements-dev.lock package-lock.json
 bench: setup ## what each stage of the frame path costs; ARGS="--quick --json FILE"
 	$(BIN)/mr360 bench $(ARGS)
 
-bench-light: setup ## the light stages against their references; MAPS=FOLDER measures its radiance maps too
-	$(BIN)/python -m server.bench.light $(MAPS)
+bench-light: setup ## the light stages against their references; MAPS=FOLDER measures its radiance maps too, CLIPS=FOLDER its clips
+	$(BIN)/python -m server.bench.light $(if $(MAPS),--maps $(MAPS)) $(if $(CLIPS),--clips $(CLIPS)) $(ARGS)
 
 lock: setup-test ## resolve the dependencies of pyproject.toml anew
 	$(BIN)/python -m pip install --quiet uv

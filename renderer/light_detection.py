@@ -15,9 +15,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from renderer.highlights import MAX_GAIN
 from renderer.inverse_tone_mapping import WEIGHTS
 from renderer.light_sources import Grid, Source, find_sources, luminance_of, source_at
 from renderer.radiance_map import RadianceMap
+from renderer.sun import Sun
 
 Array = NDArray[np.float64]
 SIGMAS = 2.0
@@ -27,12 +29,13 @@ MIN_ANGULAR_RADIUS = np.radians(0.2665)  # the sun
 MAX_LIGHTS = 8
 NEGLIGIBLE = 0.35 * MIN_CONTRIBUTION    # a light that is there already dies a little above that
 MAX_CANDIDATES = 16
-MAX_GAIN = 300.0
+NOTHING = Source(np.zeros(0, dtype=np.intp), np.zeros((0, 3)))
 
 
 @dataclass(frozen=True)
 class Light:
-    """A distant light. `direction` points to it; `irradiance` (r, g, b) is on a plane that faces it."""
+    """A distant light. `direction` points to it; `irradiance` (r, g, b) is on a plane that faces it; `gain` is how much of it was
+    restored: irradiance over what the tone curve says."""
 
     direction: Array
     irradiance: Array
@@ -84,7 +87,7 @@ class Found:
         texels = source.texels[~taken[source.texels]]
         if not len(texels):
             return None
-        return _candidate(self.grid, source_at(self.grid, texels, self.threshold), 1.0, max(np.pi * self.mean, 1e-300))
+        return _candidate(self.grid, source_at(self.grid, texels, self.threshold), max(np.pi * self.mean, 1e-300))
 
     def detection(self, kept: list[tuple[Light, Source, float]]) -> Detection:
         """These lights, and the map without these shares of their sources."""
@@ -93,7 +96,7 @@ class Found:
             flat[source.texels] -= share * source.excess
         residual = soft = flat.reshape(*self.grid.shape, 3)
         lights = tuple(replace(light, is_wide=bool(light.angular_radius > WIDE_ANGULAR_RADIUS)) for light, _, _ in kept)
-        wide = [(light.gain * share * source.excess, source.texels)
+        wide = [(share * source.excess, source.texels)
                 for light, (_, source, share) in zip(lights, kept, strict=True) if light.is_wide]
         if wide:
             soft = residual.copy()
@@ -102,23 +105,24 @@ class Found:
         return Detection(lights, residual, soft, self.threshold)
 
 
-def find_candidates(radiance_map: RadianceMap, sigmas: float | None = None, gain: float | None = None) -> Found:
-    """All sources above the threshold of mean + 2 sigma that a gain could bring over the gate.
+def find_candidates(radiance_map: RadianceMap, sigmas: float | None = None, sun: Sun | None = None) -> Found:
+    """All sources above the threshold of mean + 2 sigma that are near the gate or clipped, and the sun.
 
-    `sigmas` in place of 2; `gain` for all lights that are clipped, in place of what is estimated.
+    `sigmas` in place of 2. The sun is no part of the map: it comes on top of it.
     """
     grid = Grid(radiance_map)
     mean, sigma = grid.statistics()
     threshold = mean + (SIGMAS if sigmas is None else sigmas) * sigma
     whole = max(np.pi * mean, 1e-300)   # irradiance of a sphere: a quarter of 4 pi times the mean
     sources = find_sources(grid, threshold, NEGLIGIBLE * whole, MAX_CANDIDATES)
-    gains = _gains(grid, sources, whole) if gain is None else _given_gains(grid, sources, gain)
-    candidates = [candidate for source, factor in zip(sources, gains, strict=True)
-                  if (candidate := _candidate(grid, source, float(factor), whole)) is not None]
+    candidates = [candidate for source in sources if (candidate := _candidate(grid, source, whole)) is not None]
+    if sun is not None:
+        light = Light(sun.direction, sun.irradiance, MIN_ANGULAR_RADIUS, gain=MAX_GAIN)
+        candidates.append(Candidate(light, NOTHING, float(sun.irradiance @ WEIGHTS) / whole, is_clipped=True))
     return Found(grid, tuple(sorted(candidates, key=lambda item: -item.contribution)), mean, threshold)
 
 
-def _candidate(grid: Grid, source: Source, gain: float, whole_irradiance: float) -> Candidate | None:
+def _candidate(grid: Grid, source: Source, whole_irradiance: float) -> Candidate | None:
     power = source.excess * grid.solid_angle(source.texels)[:, None]
     vectors = power.T @ grid.directions[source.texels]     # channel, axis
     mean_vector = WEIGHTS @ vectors
@@ -128,25 +132,6 @@ def _candidate(grid: Grid, source: Source, gain: float, whole_irradiance: float)
     direction = mean_vector / length
     radius = max(float(np.arccos(np.clip(2 * length / total - 1, -1, 1))), MIN_ANGULAR_RADIUS)
     irradiance = np.maximum(vectors @ direction, 0.0)
-    return Candidate(Light(direction, irradiance * gain, radius, gain=gain), source,
-                     gain * float(irradiance @ WEIGHTS) / whole_irradiance, bool(grid.clipped[source.texels].any()))
-
-
-def _gains(grid: Grid, sources: list[Source], whole: float) -> Array:
-    """Factors for what each source gives by the tone curve.
-
-    The curve ends at 11.8, a sun does not. MR360 section 4.1 raises lights "of smaller solid angles" by an ad-hoc mapping. So
-    do we, by the clipped solid angle: 1.5 / (1 + Omega / 0.01 sr), less for glints below 3e-4 sr. What is clipped below the
-    horizon is taken for a reflection. Several candidates share one budget: a room has many lamps, but a sky has one sun.
-    """
-    clipped = np.array([grid.clipped[source.texels] @ grid.solid_angle(source.texels) for source in sources])
-    above = np.array([luminance_of(source.excess) * grid.solid_angle(source.texels) @ grid.directions[source.texels, 1]
-                      for source in sources]) > 0.0
-    ratio = np.where(above, 1.5 / (1 + clipped / 0.01) * clipped / (clipped + 3e-4), 0.0)
-    restored = ratio * ratio / max(float(ratio.sum()), 1e-12) * whole
-    shown = np.array([luminance_of(source.excess) @ grid.solid_angle(source.texels) for source in sources])
-    return np.asarray(np.clip(restored / np.maximum(shown, 1e-12), 1.0, MAX_GAIN))
-
-
-def _given_gains(grid: Grid, sources: list[Source], gain: float) -> Array:
-    return np.array([gain if grid.clipped[source.texels].any() else 1.0 for source in sources])
+    gain = 1.0 if grid.raised is None else total / max(float(luminance_of(power) @ (1 / grid.raised[source.texels])), 1e-300)
+    return Candidate(Light(direction, irradiance, radius, gain=gain), source, float(irradiance @ WEIGHTS) / whole_irradiance,
+                     bool(grid.clipped[source.texels].any()))

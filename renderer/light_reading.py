@@ -9,14 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.diffuse import diffuse_map
+from renderer.equirectangular import solid_angles, uv_from_direction
+from renderer.highlights import HighlightRestorer
 from renderer.inverse_tone_mapping import WEIGHTS
 from renderer.irradiance import project
 from renderer.light_detection import MIN_ANGULAR_RADIUS, Detection, Light, find_candidates
 from renderer.light_fitting import Probe
-from renderer.light_tracking import LightNames, LightTracker
+from renderer.light_tracking import DEFAULT_STEP_S, LightNames, LightTracker
 from renderer.radiance_map import RadianceMap
 from renderer.scene import Lighting
 from renderer.specular import resample
+from renderer.sun import NO_SKY, Sun, SunFinder, sun_in
 from renderer.threshold_detection import SIGMAS, detect_by_threshold
 from renderer.timings import Timings
 
@@ -43,12 +46,15 @@ class LightReader:
 
     def __init__(self) -> None:
         self._tracker, self._probe, self._names = LightTracker(), Probe(), LightNames()
+        self._highlights, self._sun = HighlightRestorer(), SunFinder()
+        self._moment: float | None = None
         self._method = "default"
 
     def reset(self) -> None:
         """The next frame has nothing to do with the last one."""
-        self._tracker.reset()
-        self._probe.reset()
+        for part in (self._tracker, self._probe, self._highlights, self._sun):
+            part.reset()
+        self._moment = None
 
     def read(self, radiance_map: RadianceMap, upper: Callable[[], NDArray[np.float32]], lighting: Lighting,
              moment: float | None, timings: Timings) -> FrameLight:
@@ -57,13 +63,16 @@ class LightReader:
         if method != self._method:
             self.reset()
             self._method = method
+        if method != "threshold":       # the papers' frames are taken as the operator leaves them
+            with timings.stage("highlights"):
+                radiance_map, sun = self._restored(radiance_map, lighting, moment)
         with timings.stage("lights"):
             if method == "threshold":
                 detection = self._by_threshold(radiance_map, upper(), lighting)
             elif method == "probe":
-                detection = self._by_probe(radiance_map, lighting)
+                detection = self._by_probe(radiance_map, lighting, sun)
             else:
-                detection = self._tracker.update(find_candidates(radiance_map, lighting.threshold, lighting.gain), moment)
+                detection = self._tracker.update(find_candidates(radiance_map, lighting.threshold, sun), moment)
         with timings.stage("irradiance"):
             soft = _small(detection.soft)
             coefficients = project(soft)
@@ -73,23 +82,43 @@ class LightReader:
             kept = _kept(radiance_map, detection) if lighting.method("glossy") == "rings36" else None
             return FrameLight(detection, coefficients, soft, irradiance, method, kept)
 
+    def _restored(self, radiance_map: RadianceMap, lighting: Lighting, moment: float | None) -> tuple[RadianceMap, Sun | None]:
+        """The map with what the camera has clipped, and the sun if it is there; a given gain stands in for both estimates."""
+        step = DEFAULT_STEP_S if moment is None or self._moment is None else max(moment - self._moment, 0.0)
+        self._moment = moment
+        sky = self._sun.look(radiance_map) if lighting.gain is None else NO_SKY
+        restored = self._highlights.restore(radiance_map, step, sky.clear, lighting.gain)
+        return restored, sun_in(sky, restored)
+
     def _by_threshold(self, radiance_map: RadianceMap, upper: NDArray[np.float32], lighting: Lighting) -> Detection:
         found = detect_by_threshold(upper, radiance_map.rgb, SIGMAS if lighting.threshold is None else lighting.threshold)
         return replace(found, lights=self._names.named(found.lights))
 
-    def _by_probe(self, radiance_map: RadianceMap, lighting: Lighting) -> Detection:
+    def _by_probe(self, radiance_map: RadianceMap, lighting: Lighting, sun: Sun | None) -> Detection:
         def guess() -> Array:
-            candidates = find_candidates(radiance_map, lighting.threshold, lighting.gain).candidates
+            candidates = find_candidates(radiance_map, lighting.threshold, sun).candidates
             return np.array([item.light.direction for item in candidates]).reshape(-1, 3)
 
         count = lighting.light_count if isinstance(lighting.light_count, int) else None
-        fit = self._probe.fit(radiance_map.rgb, guess, count)
+        fit = self._probe.fit(_with_sun(radiance_map.rgb, sun), guess, count)
         lights = tuple(Light(direction, irradiance, MIN_ANGULAR_RADIUS) for direction, irradiance in
                        zip(fit.directions, fit.irradiances, strict=True))
         ordered = sorted(self._names.named(lights), key=lambda light: -float(light.irradiance @ WEIGHTS))
         # all that the model has besides its lights is an ambient term
         ambient = np.broadcast_to(fit.ambient, radiance_map.rgb.shape)
         return Detection(tuple(ordered), ambient, ambient, 0.0)
+
+
+def _with_sun(radiance: Array, sun: Sun | None) -> Array:
+    """The map with the sun in the texel where it stands."""
+    if sun is None:
+        return radiance
+    height, width = radiance.shape[:2]
+    u, v = uv_from_direction(sun.direction)
+    row, column = min(int(v * height), height - 1), int(u * width) % width
+    whole = radiance.copy()
+    whole[row, column] += sun.irradiance / solid_angles(height, width)[row, 0]
+    return whole
 
 
 def _kept(radiance_map: RadianceMap, detection: Detection) -> NDArray[np.float32]:

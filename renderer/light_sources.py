@@ -21,6 +21,7 @@ Labels = NDArray[np.int32]      # (height, width); 0 is none
 MAX_ANGULAR_RADIUS = np.radians(22.0)   # wider sources cast no shadow to speak of
 MAX_COMPONENTS = 24           # the strongest are looked at more closely
 MAX_SPLITS = 3                # times the threshold is raised inside a component that is too wide, to find the sun in a bright sky
+MIN_PEAK = 3.0                # a component too wide is looked into if its maximum is so many thresholds; else it is a bright sky
 MAX_AXIS_RATIO = 3.0          # of a source; longer ones are split along
 MAX_PARTS = 4
 _EIGHT_NEIGHBOURS = np.ones((3, 3), dtype=bool)
@@ -41,6 +42,7 @@ class Grid:
         self.shape = radiance_map.clipped.shape
         self.rgb = radiance_map.rgb.reshape(-1, 3)
         self.clipped = radiance_map.clipped.ravel()
+        self.raised = None if radiance_map.raised is None else radiance_map.raised.ravel()
         self.luminance = luminance_of(radiance_map.rgb).ravel()
         self.directions = pixel_directions(*self.shape).reshape(-1, 3)
         self._row_angles = solid_angles(*self.shape)[:, 0]
@@ -61,10 +63,7 @@ def luminance_of(radiance: Array) -> Array:
 
 
 def find_sources(grid: Grid, threshold: float, negligible: float, most: int) -> list[Source]:
-    """Sources whose irradiance may exceed the `negligible`, or that are clipped; long ones in parts. No texel has two.
-
-    At most so many: the clipped ones, whose power is not known, and the strongest.
-    """
+    """The strongest sources, at most so many, that may exceed the `negligible` irradiance; long ones in parts. No texel has two."""
     labels = _components(grid, threshold, negligible)
     if labels is None:
         return []
@@ -77,8 +76,7 @@ def find_sources(grid: Grid, threshold: float, negligible: float, most: int) -> 
     texels, excess = segments.texels[order], excess[order]
     starts = np.flatnonzero(np.diff(names[order], prepend=-1))
     power = np.add.reduceat(luminance_of(excess) * grid.solid_angle(texels), starts)
-    clipped = np.add.reduceat(grid.clipped[texels], starts) > 0.0
-    best = np.lexsort((-power, ~clipped))[:most]
+    best = np.argsort(-power, kind="stable")[:most]
     ends = np.append(starts[1:], len(texels))
     return [Source(texels[starts[i]:ends[i]], excess[starts[i]:ends[i]]) for i in best]
 
@@ -121,17 +119,18 @@ def _components(grid: Grid, threshold: float, negligible: float) -> Labels | Non
         weights = grid.solid_angle(texels)
         power = (grid.luminance[texels] - above[texels]) * weights
         sums = segments.sums(np.column_stack([
-            power, power[:, None] * grid.directions[texels], grid.luminance[texels] * weights, grid.clipped[texels]]), count)
+            power, power[:, None] * grid.directions[texels], grid.luminance[texels] * weights]), count)
         # a uniform cap of half-angle a has resultant length (1 + cos a) / 2
         resultant = np.linalg.norm(sums[:, 1:4], axis=1) / np.maximum(sums[:, 0], 1e-300)
         wide = np.arccos(np.clip(2 * resultant - 1, -1, 1)) > MAX_ANGULAR_RADIUS
         # a rim may add as much again
-        strong = ((sums[:, 4] > 0.5 * negligible) | (sums[:, 5] > 0.0)) & (sums[:, 0] > 0.0)
-        if not (wide & strong).any():
-            break
+        strong = (sums[:, 4] > 0.5 * negligible) & (sums[:, 0] > 0.0)
         maxima = np.zeros(count + 1)
         np.maximum.at(maxima, names, grid.luminance[texels])
-        raised = wide[names]
+        peaked = wide & strong & (maxima > MIN_PEAK * threshold)
+        if not peaked.any():
+            break
+        raised = peaked[names]
         above[texels[raised]] = 0.5 * (above[texels[raised]] + maxima[names[raised]])
     kept = np.flatnonzero(strong & ~wide)
     kept = kept[np.argsort(-sums[kept, 4], kind="stable")][:MAX_COMPONENTS]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from renderer.inverse_tone_mapping import WEIGHTS
-from renderer.light_detection import MAX_LIGHTS, MIN_CONTRIBUTION, Candidate, Detection, Found, Light
+from renderer.light_detection import MAX_LIGHTS, MIN_CONTRIBUTION, NOTHING, Candidate, Detection, Found, Light
 from renderer.light_sources import Source
 
 Array = NDArray[np.float64]
@@ -29,6 +29,9 @@ CLIPPED_SMOOTHING_S = 3.0     # of the power of lights that the camera clips
 FOLLOW_ANGLE = np.radians(0.25)   # a change of direction that is motion and not noise
 DEFAULT_STEP_S = 1 / 30
 EXPOSURE_STEP = 13             # texels; prime to the row length, so that the samples spread
+EXPOSED_ALIKE = 0.15           # of ln exposure: within it, what comes and goes are lights
+SUDDEN = 0.12                  # of ln exposure from one frame to the next: no camera's control is that fast
+HOLD_S = 10.0                  # after which another exposure is the usual one
 
 
 @dataclass
@@ -50,27 +53,32 @@ class LightTracker:
         self._moment: float | None = None
         self._is_new = True
         self._luminance: Array | None = None
+        self._exposure = 0.0            # ln, since the lights were last found under a steady one
+        self._held_s = 0.0
 
     def reset(self) -> None:
         """The next frame has nothing to do with the last one: its lights are there at once."""
         self._tracks = []
         self._is_new = True
         self._moment = self._luminance = None
+        self._exposure = self._held_s = 0.0
 
     def update(self, found: Found, moment: float | None = None) -> Detection:
         """Lights and residual of a frame shown at `moment` seconds (None: a thirtieth of a second after the last one)."""
         step = self._step(moment)
-        self._expose(found)
+        is_held = self._expose(found, step)
         matches = self._match(found.candidates)
         survivors = []
         for index, track in enumerate(self._tracks):
             candidate = found.candidates[matches[index]] if index in matches else found.again(track.source)
-            if candidate is not None and (index in matches or candidate.contribution > DEATH_CONTRIBUTION):
-                self._follow(track, candidate, step)
+            if candidate is not None and (is_held or index in matches or candidate.contribution > DEATH_CONTRIBUTION):
+                self._follow(track, candidate, step, is_held)
                 survivors.append(track)
+            elif is_held:
+                survivors.append(replace(track, source=NOTHING))
         taken = set(matches.values())
         new = [candidate for index, candidate in enumerate(found.candidates)
-               if index not in taken and candidate.contribution > MIN_CONTRIBUTION]
+               if index not in taken and candidate.contribution > MIN_CONTRIBUTION and not is_held]
         # a light that is there keeps its place: where there are too many, the choice must not change from frame to frame
         survivors += [self._begin(candidate) for candidate in new[:MAX_LIGHTS - len(survivors)]]
         self._tracks = [track for track in survivors if track.presence > 0.0 or not track.dying]
@@ -83,16 +91,27 @@ class LightTracker:
             return DEFAULT_STEP_S
         return float(np.clip(moment - before, 0.0, 1.0))
 
-    def _expose(self, found: Found) -> None:
-        """Scale all tracks by the change of exposure: the median over the frame, which no lamp can move."""
+    def _expose(self, found: Found, step: float) -> bool:
+        """Scale all tracks by the change of exposure: the median over the frame, which no lamp can move.
+
+        True while the camera exposes otherwise than when the lights were found: then regions clip and unclip, join and part, and
+        nothing is born and nothing dies, unless it stays so.
+        """
         luminance = found.grid.luminance[::EXPOSURE_STEP]
         before, self._luminance = self._luminance, luminance
         if before is None or before.shape != luminance.shape:
-            return
+            return False
         known = (before > 0.0) & (luminance > 0.0)
         change = float(np.median(luminance[known] / before[known])) if known.any() else 1.0
         for track in self._tracks:
             track.light = replace(track.light, irradiance=track.light.irradiance * change)
+        self._exposure += float(np.log(max(change, 1e-6)))
+        is_other = abs(self._exposure) > EXPOSED_ALIKE
+        self._held_s = self._held_s + step if is_other else 0.0
+        if abs(np.log(max(change, 1e-6))) > SUDDEN or self._held_s > HOLD_S:
+            self._exposure = self._held_s = 0.0
+            return False
+        return is_other
 
     def _begin(self, candidate: Candidate) -> _Track:
         track = _Track(self._next_id, replace(candidate.light, id=self._next_id), candidate.source)
@@ -101,20 +120,20 @@ class LightTracker:
             track.presence, track.seen = 1.0, BIRTH_FRAMES
         return track
 
-    def _follow(self, track: _Track, candidate: Candidate, step: float) -> None:
+    def _follow(self, track: _Track, candidate: Candidate, step: float, is_held: bool) -> None:
         now, before = candidate.light, track.light
         slow = 1.0 - np.exp(-step / SMOOTHING_S)
         angle = float(np.arccos(np.clip(now.direction @ before.direction, -1, 1)))
         direction = before.direction + max(slow, min(1.0, angle / FOLLOW_ANGLE)) * (now.direction - before.direction)
         change = np.log(np.maximum(now.irradiance, 1e-12) / np.maximum(before.irradiance, 1e-12))
         # what is clipped tells nothing of its power; when the exposure drops, it unclips and only seems to grow
-        rate = 1.0 - np.exp(-step / (CLIPPED_SMOOTHING_S if candidate.is_clipped else SMOOTHING_S))
+        rate = 0.0 if is_held else 1.0 - np.exp(-step / (CLIPPED_SMOOTHING_S if candidate.is_clipped else SMOOTHING_S))
         track.light = Light(direction / np.linalg.norm(direction), before.irradiance * np.exp(rate * change),
                             before.angular_radius + slow * (now.angular_radius - before.angular_radius), track.id,
                             before.gain * (now.gain / before.gain) ** rate)
         track.source = candidate.source
         track.seen += 1
-        track.dying = candidate.contribution < (DEATH_CONTRIBUTION if track.presence > 0 else MIN_CONTRIBUTION)
+        track.dying = not is_held and candidate.contribution < (DEATH_CONTRIBUTION if track.presence > 0 else MIN_CONTRIBUTION)
         if track.dying:
             track.presence -= step / FADE_S
         elif track.seen >= BIRTH_FRAMES:

@@ -21,10 +21,12 @@ TARGET_WIDTH = 256
 
 @dataclass(frozen=True)
 class RadianceMap:
-    """`rgb`: (height, width, 3) float64 mean radiance; `clipped`: (height, width) share of each texel at the camera's limit."""
+    """`rgb`: (height, width, 3) float64 mean radiance; `clipped`: (height, width) share of each texel at the camera's limit;
+    `raised`: (height, width) factor by which `highlights.py` has raised it (None: it has not)."""
 
     rgb: NDArray[np.float64]
     clipped: NDArray[np.float64]
+    raised: NDArray[np.float64] | None = None
 
 
 def map_size(frame_size: tuple[int, int]) -> tuple[int, int]:

@@ -10,10 +10,10 @@ uniform sampler2D inverse_gain_table;   // R32F, 1 / k by sqrt(luminance / peak)
 float sanitize(float x) { return x >= 0.0 ? (x < MAX_RADIANCE ? x : MAX_RADIANCE) : 0.0; }
 vec3 sanitize(vec3 c) { return vec3(sanitize(c.r), sanitize(c.g), sanitize(c.b)); }
 
-// k of the papers' eq. 2 as a polynomial in linear luminance, within 0.1 %.
+// k of the papers' eq. 2, of linear luminance.
 float tone_gain(float luminance) {
-    float y = clamp(luminance, 0.0, 1.0), y2 = y * y;
-    return 1.8 + 10.0 * y2 * y * (y2 * 0.3260031 + (y * 0.77051668 - 0.0954733));
+    float y = clamp(luminance, 0.0, 1.0), y2 = y * y, y4 = y2 * y2;
+    return 1.8 + 10.0 * y4 * y4 * y2;
 }
 
 vec3 radiance_from_linear(vec3 rgb) { return rgb * tone_gain(dot(rgb, LUMINANCE_WEIGHTS)); }

@@ -64,6 +64,20 @@ vec3 pixel_radiance(ivec2 pixel) {
 #endif
 }
 
+// 1 where the camera could show no more; a radiance map has no such limit.
+const float CLIPPED = 0.985;   // of the display signal's luma
+float pixel_clipped(ivec2 pixel) {
+#if SOURCE_YUV
+    vec4 yuv = vec4(texelFetch(luma_plane, pixel, 0).r, texelFetch(u_plane, pixel >> 1, 0).r,
+                    texelFetch(v_plane, pixel >> 1, 0).r, 1.0);
+    return step(CLIPPED, dot(rgb_from_yuv * yuv, LUMINANCE_WEIGHTS));
+#elif SOURCE_RGB8
+    return step(CLIPPED, dot(texelFetch(rgb_plane, pixel, 0).rgb, LUMINANCE_WEIGHTS));
+#else
+    return 0.0;
+#endif
+}
+
 // Bilinear look-up, seamless in u because the planes wrap.
 vec3 panorama_radiance(vec2 uv) {
 #if SOURCE_YUV

@@ -7,8 +7,8 @@ import pytest
 
 from renderer.equirectangular import solid_angles
 from renderer.inverse_tone_mapping import WEIGHTS
-from renderer.light_detection import Detection, find_candidates
-from renderer.light_tracking import LightTracker
+from renderer.light_detection import Detection, Light, find_candidates
+from renderer.light_tracking import LightNames, LightTracker
 from tests.renderer.light_maps import HEIGHT, WIDTH, direction, disc, radiance_map
 
 FRAME_S = 1 / 30
@@ -105,3 +105,53 @@ def test_noise_hardly_moves_a_light() -> None:
     angles = [np.degrees(np.arccos(min(1.0, light.direction @ direction(10, 35)))) for light in lights]
     assert logs.std() < 0.005
     assert max(angles) < 0.25
+
+
+def dip(tracker: LightTracker, exposures: np.ndarray, *lamps: tuple[float, float, float], limit: float = 50.0) -> list[Detection]:
+    """Frames of a camera whose exposure changes: lamps are cut off at `limit`, whatever they are."""
+    found = []
+    for exposure in exposures:
+        radiance = np.full((HEIGHT, WIDTH), 0.3) * exposure
+        for azimuth, elevation, value in lamps:
+            radiance += np.minimum(disc(azimuth, elevation, 3.0, value, sky=0.0).rgb[..., 0] * exposure, limit)
+        found.append(tracker.update(find_candidates(radiance_map(radiance))))
+    return found
+
+
+def test_while_the_exposure_is_another_nothing_is_born_and_nothing_dies() -> None:
+    """A lamp falls below the gate and another rises above it as the exposure goes down and comes back."""
+    down = np.linspace(0, -1.2, 60)
+    slow = np.exp(np.concatenate([np.zeros(30), down, np.full(60, -1.2), down[::-1], np.zeros(30)]))
+    found = dip(LightTracker(), slow, (0, 30, 200.0), (90, 40, 14.0), limit=20.0)
+    first = {light.id for light in found[0].lights}
+    assert all({light.id for light in detection.lights} == first for detection in found)
+    logs = [np.log(float(light.irradiance @ WEIGHTS) / exposure) for detection, exposure in zip(found, slow, strict=True)
+            for light in detection.lights if light.id == 1]
+    assert np.ptp(logs) < 0.15, "its power follows the exposure, not what clips"
+
+
+def test_another_exposure_that_stays_is_the_usual_one_after_a_while() -> None:
+    tracker = LightTracker()
+    dip(tracker, np.exp(np.linspace(0, -1.0, 60)), (0, 30, 200.0))
+    later = dip(tracker, np.full(400, np.exp(-1.0)), (0, 30, 200.0), (90, 40, 200.0))
+    assert len(later[0].lights) == 1
+    assert len(later[-1].lights) == 2
+
+
+def test_a_lamp_that_is_switched_on_is_born_however_much_brighter_the_frame_becomes() -> None:
+    tracker = LightTracker()
+    dip(tracker, np.ones(10), (0, 30, 200.0))
+    assert len(dip(tracker, np.full(20, 1.5), (0, 30, 200.0), (90, 40, 200.0))[-1].lights) == 2
+
+
+def test_lights_without_a_memory_are_named_after_the_nearest_one_before() -> None:
+    names = LightNames()
+
+    def named(*azimuths: float) -> list[int]:
+        return [light.id for light in names.named(tuple(Light(direction(azimuth, 30), np.ones(3), 0.1) for azimuth in azimuths))]
+
+    assert named(0, 90) == [1, 2]
+    assert named(92, 3) == [2, 1]
+    assert named(95, 180, 5) == [2, 3, 1]
+    assert named() == []
+    assert named(5) == [4]

@@ -5,15 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from renderer.color import YuvFormat, linear_from_srgb, srgb_from_linear
+from renderer.color import YuvFormat, srgb_from_linear
 from renderer.inverse_tone_mapping import gain, linear_from_radiance, radiance_from_linear, sanitize
 
 
-def test_the_operator_is_the_papers_for_greys() -> None:
-    grey = np.linspace(0, 1, 11)
-    linear = linear_from_srgb(grey)
-    radiance = radiance_from_linear(np.repeat(linear[:, None], 3, axis=1))
-    assert radiance[:, 0] == pytest.approx(linear * (10 * grey**10 + 1.8), abs=1e-9)
+def test_the_operator_is_the_papers_on_linear_light() -> None:
+    rgb = np.random.default_rng(6).uniform(0, 1, (50, 3))
+    y = 0.3 * rgb[:, 0] + 0.59 * rgb[:, 1] + 0.11 * rgb[:, 2]
+    assert radiance_from_linear(rgb) == pytest.approx(rgb * (10 * y**10 + 1.8)[:, None], rel=1e-12)
     assert gain(np.array(1.0)) == pytest.approx(11.8)
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from renderer.gl import Context
-from server.bench.light import analytic_maps, irradiance_errors
+from server.bench.light_reference import analytic_maps
+from server.bench.light_tables import Pipelines, irradiance_errors
 from server.bench.stages import bench, table
 
 STAGES = ("upload", "radiance_map", "lights", "irradiance", "objects_and_composite", "write")
@@ -26,7 +27,9 @@ def test_bench_reports_every_stage_of_a_frame() -> None:
 @pytest.mark.parametrize(("name", "radiance"), list(analytic_maps()), ids=lambda value: value if isinstance(value, str) else "")
 def test_irradiance_of_analytic_maps(name: str, radiance: np.ndarray) -> None:
     context = Context()
-    _, errors = irradiance_errors(context, radiance)
+    pipelines = Pipelines(context)
+    _, errors = irradiance_errors(pipelines, radiance)
+    pipelines.release()
     context.release()
     assert np.sqrt((errors**2).mean()) < (1e-4 if name == "constant" else 0.006)
     assert np.abs(errors).max() < 0.012

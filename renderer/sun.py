@@ -1,0 +1,261 @@
+"""The sun that has drowned in a clipped sky: whether it is there, where, and how strong.
+
+A clear sky with the sun in it is blue far from a clipped region, which is round or grows steadily when the level is lowered
+and has no red rim, as that of a sun at or below the horizon has. Its direct irradiance is about six times what its sky gives
+the ground (clear skies: four to eight, whatever the height of the sun), and white. It stands in the middle of the aureole, not of
+the clipped region, which the horizon cuts: the logarithm of the radiance around falls linearly with that of the angle to the
+sun, and rises towards the horizon; the direction for which that fits best is the sun's (variable projection, a few steps from the
+last frame's). The bounds below come from two captures with such a sun and fifteen without (`make bench-light`, table "range").
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.equirectangular import pixel_directions, solid_angles
+from renderer.inverse_tone_mapping import approximate_linear_from_radiance
+from renderer.light_sources import label_components, luminance_of
+from renderer.radiance_map import RadianceMap
+
+Array = NDArray[np.float64]
+WHITE, HALF_WHITE = 0.95, 0.5
+MIN_REGION_SR = 1e-3            # below the horizon's cosine; a smaller clipped region is a lamp or a glint
+DIRECT_TO_SKY = 6.0             # irradiance facing the sun, in units of that of the sky on the ground
+BLUE = (0.8, 1.2)               # ln(blue / red) far from the region: no clear sky below, one above
+REDDENED = (0.75, 0.9)          # red / green of the rim: not below, the sun is down above
+SLACK = (2.0, 2.6)              # exponent of the growth of what is brighter than a level: an aureole below, a mere bright sky above
+MIN_SCORE = 0.02
+RIM, FAR = np.radians((4.0, 12.0)), np.radians(40.0)
+COARSE_WIDTHS = np.radians((50, 40, 32))        # of the sky that is fitted, step by step, from scratch
+FINE_WIDTH, FINE_STEPS = np.radians(26), 3      # and then, or from the last frame's direction, on the whole map
+MAX_VARIANCE = 0.015            # of ln radiance that the fit may leave: more, and the horizon or clouds have a part in it
+ANGLE_OFFSET, HORIZON_OFFSET = 0.02, 0.15
+ELONGATED = (1.05, 1.2)         # of the region; a disc is the sun however fast it grows
+HORIZON, LOWEST_SUN = 0.05, np.radians(3.0)
+MAX_TURN = 0.1
+MIN_TEXELS = 60
+OUTLINE = 50                    # points of the region that stand for its outline
+
+
+@dataclass(frozen=True)
+class Sky:
+    """How clear it is and how sure that the sun is in it, both 0 to 1; the direction to the sun (None: there is none)."""
+
+    clear: float
+    score: float
+    direction: Array | None
+
+
+@dataclass(frozen=True)
+class Sun:
+    """`direction` to it; its (3,) irradiance on a plane that faces it."""
+
+    direction: Array
+    irradiance: Array
+
+
+NO_SKY = Sky(0.0, 0.0, None)
+
+
+class SunFinder:
+    """Looks at the sky of one frame after another; keeps where the sun was."""
+
+    def __init__(self) -> None:
+        self._last: Array | None = None
+
+    def reset(self) -> None:
+        self._last = None
+
+    def look(self, radiance_map: RadianceMap) -> Sky:
+        """At a map as the tone curve gives it."""
+        upper = radiance_map.clipped[:radiance_map.clipped.shape[0] // 2]
+        sky = self._look(radiance_map) if upper.any() else NO_SKY
+        self._last = sky.direction
+        return sky
+
+    def _look(self, radiance_map: RadianceMap) -> Sky:
+        shown = _Shown(radiance_map)
+        region = shown.region()
+        if region is None:
+            return NO_SKY
+        clear, sunny = shown.clearness(region)
+        score = clear * sunny
+        if score < MIN_SCORE:
+            return Sky(clear, 0.0, None)
+        return Sky(clear, score, self._direction(radiance_map, shown, region))
+
+    def _direction(self, radiance_map: RadianceMap, shown: _Shown, region: _Region) -> Array:
+        fitted = _fitted(radiance_map, shown.samples(), region.centre, self._last)
+        if fitted is not None and float(np.arccos(np.clip(fitted @ region.centre, -1, 1))) < region.reach:
+            return fitted
+        return region.low_sun() if region.lowest < HORIZON else region.centre
+
+
+def _fitted(radiance_map: RadianceMap, coarse: _SkySamples, centre: Array, last: Array | None) -> Array | None:
+    """The direction around which the sky falls off most evenly, step by step in a narrower part of it; None if it does not."""
+    sun = centre if last is None else last
+    for width in COARSE_WIDTHS if last is None else ():
+        sun = coarse.turned(sun, width)[0]
+    if coarse.turned(sun, COARSE_WIDTHS[0])[1] > MAX_VARIANCE:
+        return None
+    height, width = radiance_map.clipped.shape
+    directions = pixel_directions(height, width).reshape(-1, 3)
+    near = np.flatnonzero(directions @ sun > np.cos(FINE_WIDTH + MAX_TURN))
+    fine = _SkySamples(approximate_linear_from_radiance(radiance_map.rgb.reshape(-1, 3)[near]), radiance_map.clipped.ravel()[near],
+                       directions[near], np.asarray(solid_angles(height, width)[near // width, 0], dtype=np.float64))
+    for _ in range(FINE_STEPS):
+        sun = fine.turned(sun, FINE_WIDTH)[0]
+    return sun
+
+
+def sun_in(sky: Sky, restored: RadianceMap) -> Sun | None:
+    """The sun of a sky, as strong as the map with its glow restored says."""
+    if sky.direction is None:
+        return None
+    height, width = restored.rgb.shape[:2]
+    upward = np.maximum(pixel_directions(height, width)[:, :1, 1], 0.0) * solid_angles(height, width)
+    on_the_ground = float((luminance_of(restored.rgb) * upward).sum())
+    return Sun(sky.direction, np.full(3, sky.score * DIRECT_TO_SKY * on_the_ground))
+
+
+@dataclass(frozen=True)
+class _Region:
+    """The largest clipped region: its texels, their solid angles and directions."""
+
+    texels: NDArray[np.intp]
+    angles: Array
+    directions: Array
+
+    @cached_property
+    def centre(self) -> Array:
+        summed = self.angles @ self.directions
+        return np.asarray(summed / np.linalg.norm(summed))
+
+    @property
+    def reach(self) -> float:
+        """Angle from the centre to the farthest texel."""
+        return float(np.arccos(np.clip((self.directions @ self.centre).min(), -1, 1)))
+
+    @property
+    def lowest(self) -> float:
+        return float(self.directions[:, 1].min())
+
+    @property
+    def radius(self) -> float:
+        """Of a disc of the same solid angle."""
+        return float(np.arccos(np.clip(1 - self.angles.sum() / (2 * np.pi), -1, 1)))
+
+    @property
+    def elongation(self) -> float:
+        """1 for a disc: the radius by the resultant length (`light_detection.py`) over that by the solid angle."""
+        resultant = float(np.linalg.norm(self.angles @ self.directions) / self.angles.sum())
+        return float(np.arccos(np.clip(2 * resultant - 1, -1, 1))) / max(self.radius, 1e-6)
+
+    def low_sun(self) -> Array:
+        """Of a round aureole that the horizon cuts: straight below its top, by its radius."""
+        top = float(np.quantile(np.arcsin(np.clip(self.directions[:, 1], -1, 1)), 0.98))
+        elevation = max(top - self.radius, LOWEST_SUN)
+        along = self.centre * (1.0, 0.0, 1.0)
+        along *= np.cos(elevation) / max(float(np.linalg.norm(along)), 1e-9)
+        along[1] = np.sin(elevation)
+        return along
+
+
+def _halved(values: Array) -> Array:
+    """A map at half its size, where that can be."""
+    if values.shape[0] % 2 or values.shape[1] % 2:
+        return values
+    return np.asarray(0.25 * (values[::2, ::2] + values[1::2, ::2] + values[::2, 1::2] + values[1::2, 1::2]))
+
+
+class _Shown:
+    """One map, at half its size, as the display shows it."""
+
+    def __init__(self, radiance_map: RadianceMap) -> None:
+        self._rgb = approximate_linear_from_radiance(_halved(radiance_map.rgb))
+        self._clipped = _halved(radiance_map.clipped)
+        self._luminance = luminance_of(self._rgb)
+        size = self._clipped.shape
+        self._directions, self._angles = pixel_directions(*size), np.broadcast_to(solid_angles(*size), size)
+        self._height = self._directions[..., 1]
+
+    def region(self) -> _Region | None:
+        """The clipped region that gives the ground most, if it is large enough."""
+        labels, count = label_components(self._luminance > WHITE)
+        weights = np.bincount(labels.ravel(), (self._angles * np.maximum(self._height, 0.0)).ravel(), count + 1)
+        weights[0] = 0.0
+        best = int(np.argmax(weights))
+        if weights[best] < MIN_REGION_SR:
+            return None
+        texels = np.flatnonzero(labels.ravel() == best)
+        return _Region(texels, self._angles.ravel()[texels], self._directions.reshape(-1, 3)[texels])
+
+    def samples(self) -> _SkySamples:
+        return _SkySamples(self._rgb.reshape(-1, 3), self._clipped.ravel(), self._directions.reshape(-1, 3), self._angles.ravel())
+
+    def clearness(self, region: _Region) -> tuple[float, float]:
+        """Whether the sky is clear far from the region, and whether the region is an aureole with the sun in it."""
+        outline = region.directions[::max(1, len(region.directions) // OUTLINE)]
+        half = slice(0, len(self._height) // 2, 2), slice(None, None, 2)
+        dim = self._clipped[half] < 0.01
+        colors, directions = self._rgb[half][dim], self._directions[half][dim]
+        nearest, height = (directions @ outline.T).max(axis=1, initial=-1.0), directions[:, 1]
+        far = colors[(nearest < np.cos(FAR)) & (height > 0.2)]
+        rim = colors[(nearest < np.cos(RIM[0])) & (nearest > np.cos(RIM[1])) & (height > HORIZON)]
+        if len(far) < MIN_TEXELS or len(rim) < MIN_TEXELS // 4:
+            return 0.0, 0.0
+        red, _, blue = np.maximum(np.median(far, axis=0), 1e-3)
+        rim_red, rim_green, _ = np.maximum(np.median(rim, axis=0), 1e-3)
+        brighter = float(self._angles[self._luminance > HALF_WHITE].sum() / region.angles.sum())
+        growth = np.log(max(brighter, 1.0)) / np.log(WHITE / HALF_WHITE)
+        aureole = max(1 - _step(growth, SLACK), 1 - _step(region.elongation, ELONGATED))
+        return _step(np.log(blue / red), BLUE), (1 - _step(rim_red / rim_green, REDDENED)) * aureole
+
+
+class _SkySamples:
+    """Texels of a clear sky: their directions, ln of the least channel, which is the last to clip, and what weighs them."""
+
+    def __init__(self, rgb: Array, clipped: Array, directions: Array, angles: Array) -> None:
+        lowest = np.minimum(np.minimum(rgb[:, 0], rgb[:, 1]), rgb[:, 2])
+        usable = (clipped < 1e-3) & (directions[:, 1] > HORIZON) & (lowest > 1e-3)
+        self._directions, self._weights = directions[usable], angles[usable]
+        self._values = np.log(lowest[usable])
+        self._heights = 1 / (self._directions[:, 1] + HORIZON_OFFSET)
+
+    def turned(self, sun: Array, width: float) -> tuple[Array, float]:
+        """One Gauss-Newton step of the direction for ln L = a + b ln(angle + offset) + c / (height + offset), over the texels
+        within that angle; a, b and c follow. And the variance that was left unexplained before it; infinite with too few texels."""
+        cosine = self._directions @ sun
+        near = cosine > np.cos(width)
+        if np.count_nonzero(near) < MIN_TEXELS:
+            return sun, np.inf
+        directions, angle = self._directions[near], np.arccos(np.minimum(cosine[near], 1.0))
+        tangents = _tangents(sun)
+        slopes = -(directions @ tangents.T) / (np.maximum(np.sin(angle), 1e-3) * (angle + ANGLE_OFFSET))[:, None]
+        columns = np.column_stack([np.ones_like(angle), np.log(angle + ANGLE_OFFSET), self._heights[near], slopes,
+                                   self._values[near]])
+        products = columns.T @ (columns * self._weights[near][:, None])
+        # what a, b and c explain is taken out of the rest (the Schur complement of their normal equations)
+        explained = np.linalg.solve(products[:3, :3] + 1e-12 * np.eye(3), products[:3, 3:])
+        left = products[3:, 3:] - products[3:, :3] @ explained
+        falloff = explained[1, 2]
+        normal = falloff**2 * left[:2, :2]
+        turn = np.linalg.solve(normal + 1e-9 * max(float(np.trace(normal)), 1e-12) * np.eye(2), falloff * left[:2, 2])
+        turn *= min(1.0, MAX_TURN / max(float(np.linalg.norm(turn)), 1e-12))
+        moved = sun + turn @ tangents
+        return np.asarray(moved / np.linalg.norm(moved)), float(left[2, 2] / self._weights[near].sum())
+
+
+def _tangents(direction: Array) -> Array:
+    first = np.cross(direction, (0.0, 1.0, 0.0) if abs(direction[1]) < 0.9 else (1.0, 0.0, 0.0))
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(direction, first)])
+
+
+def _step(value: float, edges: tuple[float, float]) -> float:
+    t = float(np.clip((value - edges[0]) / (edges[1] - edges[0]), 0.0, 1.0))
+    return t * t * (3 - 2 * t)
