@@ -22,6 +22,7 @@ from renderer.radiance_map import RadianceMap
 from renderer.sun import Sun
 
 Array = NDArray[np.float64]
+Floats = NDArray[np.floating]
 SIGMAS = 2.0
 MIN_CONTRIBUTION = 0.02       # of the frame's total power, Weber's just noticeable difference
 WIDE_ANGULAR_RADIUS = np.radians(9.0)   # wider ones light surfaces by the harmonics, which are exact for them
@@ -55,8 +56,8 @@ class Detection:
     not wide, which is what lights surfaces besides; `threshold`, a luminance."""
 
     lights: tuple[Light, ...]
-    residual: Array
-    soft: Array
+    residual: Floats
+    soft: Floats
     threshold: float
 
 
@@ -87,7 +88,8 @@ class Found:
         texels = source.texels[~taken[source.texels]]
         if not len(texels):
             return None
-        return _candidate(self.grid, source_at(self.grid, texels, self.threshold), max(np.pi * self.mean, 1e-300))
+        found = _candidates(self.grid, [source_at(self.grid, texels, self.threshold)], max(np.pi * self.mean, 1e-300))
+        return found[0] if found else None
 
     def detection(self, kept: list[tuple[Light, Source, float]]) -> Detection:
         """These lights, and the map without these shares of their sources."""
@@ -115,23 +117,32 @@ def find_candidates(radiance_map: RadianceMap, sigmas: float | None = None, sun:
     threshold = mean + (SIGMAS if sigmas is None else sigmas) * sigma
     whole = max(np.pi * mean, 1e-300)   # irradiance of a sphere: a quarter of 4 pi times the mean
     sources = find_sources(grid, threshold, NEGLIGIBLE * whole, MAX_CANDIDATES)
-    candidates = [candidate for source in sources if (candidate := _candidate(grid, source, whole)) is not None]
+    candidates = _candidates(grid, sources, whole)
     if sun is not None:
         light = Light(sun.direction, sun.irradiance, MIN_ANGULAR_RADIUS, gain=MAX_GAIN)
         candidates.append(Candidate(light, NOTHING, float(sun.irradiance @ WEIGHTS) / whole, is_clipped=True))
     return Found(grid, tuple(sorted(candidates, key=lambda item: -item.contribution)), mean, threshold)
 
 
-def _candidate(grid: Grid, source: Source, whole_irradiance: float) -> Candidate | None:
-    power = source.excess * grid.solid_angle(source.texels)[:, None]
-    vectors = power.T @ grid.directions[source.texels]     # channel, axis
-    mean_vector = WEIGHTS @ vectors
-    length, total = float(np.linalg.norm(mean_vector)), float(WEIGHTS @ power.sum(axis=0))
-    if length <= 0.0 or total <= 0.0:
-        return None
-    direction = mean_vector / length
-    radius = max(float(np.arccos(np.clip(2 * length / total - 1, -1, 1))), MIN_ANGULAR_RADIUS)
-    irradiance = np.maximum(vectors @ direction, 0.0)
-    gain = 1.0 if grid.raised is None else total / max(float(luminance_of(power) @ (1 / grid.raised[source.texels])), 1e-300)
-    return Candidate(Light(direction, irradiance, radius, gain=gain), source, float(irradiance @ WEIGHTS) / whole_irradiance,
-                     bool(grid.clipped[source.texels].any()))
+def _candidates(grid: Grid, sources: list[Source], whole_irradiance: float) -> list[Candidate]:
+    """Light and contribution of each source that has any power; all of them at once."""
+    if not sources:
+        return []
+    texels, excess = (np.concatenate(parts) for parts in zip(*((one.texels, one.excess) for one in sources), strict=True))
+    starts = np.cumsum([0, *(len(one.texels) for one in sources[:-1])])
+    power = excess * grid.solid_angle(texels)[:, None]
+    luminance = luminance_of(power)
+    vectors = np.add.reduceat(power[:, :, None] * grid.directions[texels][:, None, :], starts)     # source, channel, axis
+    totals = np.add.reduceat(luminance, starts)
+    means = np.einsum("c,sca->sa", WEIGHTS, vectors)
+    lengths = np.sqrt((means**2).sum(axis=1))
+    directions = means / np.maximum(lengths, 1e-300)[:, None]
+    irradiances = np.maximum(np.einsum("sca,sa->sc", vectors, directions), 0.0)
+    # a uniform cap of half-angle a has resultant length (1 + cos a) / 2
+    radii = np.maximum(np.arccos(np.clip(2 * lengths / np.maximum(totals, 1e-300) - 1, -1, 1)), MIN_ANGULAR_RADIUS)
+    shown = totals if grid.raised is None else np.add.reduceat(luminance / grid.raised[texels], starts)
+    gains = totals / np.maximum(shown, 1e-300)
+    clipped = np.add.reduceat(grid.clipped[texels], starts) > 0.0
+    contributions = irradiances @ WEIGHTS / whole_irradiance
+    return [Candidate(Light(directions[i], irradiances[i], float(radii[i]), gain=float(gains[i])), source, float(contributions[i]),
+                      bool(clipped[i])) for i, source in enumerate(sources) if lengths[i] > 0.0 and totals[i] > 0.0]

@@ -24,6 +24,7 @@ from renderer.threshold_detection import SIGMAS, detect_by_threshold
 from renderer.timings import Timings
 
 Array = NDArray[np.float64]
+Floats = NDArray[np.floating]
 SMALL_ROWS = 64             # of the residual for spherical harmonics and prefiltering, which use no more
 
 
@@ -109,7 +110,7 @@ class LightReader:
         return Detection(tuple(ordered), ambient, ambient, 0.0)
 
 
-def _with_sun(radiance: Array, sun: Sun | None) -> Array:
+def _with_sun(radiance: Floats, sun: Sun | None) -> Floats:
     """The map with the sun in the texel where it stands."""
     if sun is None:
         return radiance
@@ -122,10 +123,10 @@ def _with_sun(radiance: Array, sun: Sun | None) -> Array:
 
 
 def _kept(radiance_map: RadianceMap, detection: Detection) -> NDArray[np.float32]:
-    luminance = np.maximum(radiance_map.rgb @ WEIGHTS, 1e-12)
+    luminance = np.maximum(radiance_map.luminance, 1e-12)
     return np.asarray(np.clip(detection.soft @ WEIGHTS / luminance, 0.0, 1.0), dtype=np.float32)
 
 
-def _small(radiance: Array) -> NDArray[np.float32]:
-    small = radiance.astype(np.float32)
-    return resample(small, SMALL_ROWS, 2 * SMALL_ROWS) if small.shape[0] > SMALL_ROWS else small
+def _small(radiance: Floats) -> NDArray[np.float32]:
+    small = radiance.astype(np.float32, copy=False)
+    return np.asarray(resample(small, SMALL_ROWS, 2 * SMALL_ROWS), dtype=np.float32) if small.shape[0] > SMALL_ROWS else small

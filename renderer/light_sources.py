@@ -6,6 +6,7 @@ Every step is an array operation over all components at once; their number costs
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,7 @@ class Grid:
         self.rgb = radiance_map.rgb.reshape(-1, 3)
         self.clipped = radiance_map.clipped.ravel()
         self.raised = None if radiance_map.raised is None else radiance_map.raised.ravel()
-        self.luminance = luminance_of(radiance_map.rgb).ravel()
+        self.luminance = radiance_map.luminance.ravel()
         self.directions = pixel_directions(*self.shape).reshape(-1, 3)
         self._row_angles = solid_angles(*self.shape)[:, 0]
 
@@ -54,12 +55,13 @@ class Grid:
         """Mean and standard deviation of luminance by solid angle, in two passes: one pass cancels when sigma is small."""
         weights = self._row_angles / (4 * np.pi)
         luminance = self.luminance.reshape(self.shape)
-        mean = float(weights @ luminance.sum(axis=1))
-        return mean, float(np.sqrt(weights @ ((luminance - mean) ** 2).sum(axis=1)))
+        mean = float(weights @ luminance.sum(axis=1, dtype=np.float64))
+        away = luminance - luminance.dtype.type(mean)
+        return mean, float(np.sqrt(weights @ np.einsum("ij,ij->i", away, away, dtype=np.float64)))
 
 
 def luminance_of(radiance: Array) -> Array:
-    return np.asarray(radiance[..., 0] * WEIGHTS[0] + radiance[..., 1] * WEIGHTS[1] + radiance[..., 2] * WEIGHTS[2])
+    return np.asarray(radiance @ WEIGHTS)
 
 
 def find_sources(grid: Grid, threshold: float, negligible: float, most: int) -> list[Source]:
@@ -67,9 +69,9 @@ def find_sources(grid: Grid, threshold: float, negligible: float, most: int) -> 
     labels = _components(grid, threshold, negligible)
     if labels is None:
         return []
-    covered, ring = _rims(labels)
-    level = _levels(grid, ring, threshold, int(labels.max()))
+    covered = _spread(labels, labels > 0)
     segments = _Segments(np.flatnonzero(covered), covered)
+    level = _levels(grid, _spread(covered, covered > 0) * (covered == 0), threshold, int(labels.max()))
     excess = np.maximum(grid.rgb[segments.texels] - level[segments.names], 0.0)
     names = _parts(grid, segments, excess)
     order = np.argsort(names, kind="stable")
@@ -83,10 +85,11 @@ def find_sources(grid: Grid, threshold: float, negligible: float, most: int) -> 
 
 def source_at(grid: Grid, texels: Indices, threshold: float) -> Source:
     """What these texels exceed their surroundings by, bright or not."""
-    labels = np.zeros(grid.shape, dtype=np.int32)
-    labels.ravel()[texels] = 1
-    ring = np.where(labels > 0, 0, _dilated(labels))
-    return Source(texels, np.maximum(grid.rgb[texels] - _levels(grid, ring, threshold, 1)[1], 0.0))
+    ring = np.setdiff1d(_neighbours(*grid.shape)[texels], texels)
+    ring = ring[grid.luminance[ring] <= threshold]
+    weights = grid.solid_angle(ring)
+    level = weights @ grid.rgb[ring] / max(float(weights.sum()), 1e-300)
+    return Source(texels, np.maximum(grid.rgb[texels] - level, 0.0))
 
 
 class _Segments:
@@ -139,22 +142,28 @@ def _components(grid: Grid, threshold: float, negligible: float) -> Labels | Non
     return table[labels] if len(kept) else None
 
 
-def _dilated(labels: Labels) -> Labels:
-    """Labels spread to the texels that touch them, across the seam and over the poles; labelled texels keep theirs."""
-    height, width = labels.shape
-    padded = np.empty((height + 2, width + 2), dtype=labels.dtype)
-    padded[1:-1, 1:-1] = labels
-    padded[0, 1:-1], padded[-1, 1:-1] = np.roll(labels[0], width // 2), np.roll(labels[-1], width // 2)
-    padded[:, 0], padded[:, -1] = padded[:, -2], padded[:, 1]
-    tall = np.maximum(np.maximum(padded[:-2], padded[1:-1]), padded[2:])
-    spread = np.maximum(np.maximum(tall[:, :-2], tall[:, 1:-1]), tall[:, 2:])
-    return np.where(labels > 0, labels, spread)
+@lru_cache(maxsize=4)
+def _neighbours(height: int, width: int) -> NDArray[np.int32]:
+    """(height * width, 8) flat indices of the texels that touch each one, across the seam and over the poles."""
+    rows, columns = np.divmod(np.arange(height * width), width)
+    found = []
+    for down in (-1, 0, 1):
+        for right in (-1, 0, 1):
+            row, column = rows + down, columns + right
+            over = (row < 0) | (row >= height)
+            column = np.where(over, column + width // 2, column) % width
+            found.append(np.clip(row, 0, height - 1) * width + column)
+    del found[4]    # the texel itself
+    return np.stack(found, axis=1).astype(np.int32)
 
 
-def _rims(labels: Labels) -> tuple[Labels, Labels]:
-    """Each component with the rim that it partly covers, and the ring of texels around that."""
-    covered = _dilated(labels)
-    return covered, np.where(covered > 0, 0, _dilated(covered))
+def _spread(labels: Labels, present: NDArray[np.bool_]) -> Labels:
+    """Labels and those of the texels that touch them; labelled texels keep theirs, others have the highest that touches them."""
+    segments = _Segments(np.flatnonzero(present), labels)
+    spread = np.zeros_like(labels)
+    # sorted by label, and of several values for one place the last one stays
+    spread.ravel()[_neighbours(*labels.shape)[segments.texels]] = segments.names[:, None]
+    return np.where(present, labels, spread)
 
 
 def _levels(grid: Grid, ring: Labels, threshold: float, count: int) -> Array:
@@ -189,7 +198,12 @@ def label_components(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int32], int]:
 
     Returns (height, width) labels, 0 where the mask is False, and the number of components.
     """
-    labels, count = ndimage.label(mask, structure=_EIGHT_NEIGHBOURS)
+    labels = np.zeros(mask.shape, dtype=np.int32)
+    rows = np.flatnonzero(mask.any(axis=1))
+    if not len(rows):
+        return labels, 0
+    band = slice(rows[0], rows[-1] + 1)
+    count = ndimage.label(mask[band], structure=_EIGHT_NEIGHBOURS, output=labels[band])
     if count < 2:
         return labels, count
     left, right = labels[:, 0], labels[:, -1]

@@ -20,6 +20,7 @@ from renderer.light_detection import MAX_LIGHTS, MIN_CONTRIBUTION, NOTHING, Cand
 from renderer.light_sources import Source
 
 Array = NDArray[np.float64]
+Floats = NDArray[np.floating]
 MAX_STEP = np.radians(15.0)   # a light that jumps further between two frames is another one
 BIRTH_FRAMES = 3              # above the gate, before a light is believed
 DEATH_CONTRIBUTION = 0.4 * MIN_CONTRIBUTION
@@ -52,7 +53,7 @@ class LightTracker:
         self._next_id = 1
         self._moment: float | None = None
         self._is_new = True
-        self._luminance: Array | None = None
+        self._luminance: Floats | None = None
         self._exposure = 0.0            # ln, since the lights were last found under a steady one
         self._held_s = 0.0
 

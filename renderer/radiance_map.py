@@ -7,6 +7,7 @@ fetch, and polynomials stand in for pow().
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import moderngl
 import numpy as np
@@ -14,19 +15,29 @@ from numpy.typing import NDArray
 
 from renderer.frame import Frame, YuvFrame
 from renderer.gl import Context, release_all, set_uniforms
+from renderer.inverse_tone_mapping import WEIGHTS
 from renderer.panorama import PanoramaTextures
 
 TARGET_WIDTH = 256
+Floats = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
 class RadianceMap:
-    """`rgb`: (height, width, 3) float64 mean radiance; `clipped`: (height, width) share of each texel at the camera's limit;
-    `raised`: (height, width) factor by which `highlights.py` has raised it (None: it has not)."""
+    """`rgb`: (height, width, 3) mean radiance; `clipped`: (height, width) share of each texel at the camera's limit; `raised`:
+    (height, width) factor by which `highlights.py` has raised it (None: it has not).
 
-    rgb: NDArray[np.float64]
-    clipped: NDArray[np.float64]
-    raised: NDArray[np.float64] | None = None
+    Single precision as the GPU gives it, or double; what adds up many texels does so in double.
+    """
+
+    rgb: Floats
+    clipped: Floats
+    raised: Floats | None = None
+
+    @cached_property
+    def luminance(self) -> Floats:
+        """(height, width) by the papers' weights."""
+        return np.asarray(self.rgb @ WEIGHTS.astype(self.rgb.dtype))
 
 
 def map_size(frame_size: tuple[int, int]) -> tuple[int, int]:
@@ -68,8 +79,8 @@ class RadianceMapStage:
 
     def run(self) -> RadianceMap:
         """Reduce the frame that is in the panorama's textures. The full map also stays in `texture` for mirrors."""
-        texels = self._draw(self.size[1]).astype(np.float64)
-        return RadianceMap(texels[..., :3], texels[..., 3])
+        texels = self._draw(self.size[1])
+        return RadianceMap(np.ascontiguousarray(texels[..., :3]), np.ascontiguousarray(texels[..., 3]))
 
     def run_rows(self, rows: int) -> NDArray[np.float32]:
         """Only the uppermost rows: (rows, width, 3) radiance."""

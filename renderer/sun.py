@@ -22,6 +22,7 @@ from renderer.light_sources import label_components, luminance_of
 from renderer.radiance_map import RadianceMap
 
 Array = NDArray[np.float64]
+Floats = NDArray[np.floating]
 WHITE, HALF_WHITE = 0.95, 0.5
 MIN_REGION_SR = 1e-3            # below the horizon's cosine; a smaller clipped region is a lamp or a glint
 DIRECT_TO_SKY = 6.0             # irradiance facing the sun, in units of that of the sky on the ground
@@ -29,6 +30,7 @@ BLUE = (0.8, 1.2)               # ln(blue / red) far from the region: no clear s
 REDDENED = (0.75, 0.9)          # red / green of the rim: not below, the sun is down above
 SLACK = (2.0, 2.6)              # exponent of the growth of what is brighter than a level: an aureole below, a mere bright sky above
 MIN_SCORE = 0.02
+WEATHER_EVERY = 5               # frames; it changes more slowly than the sun moves in a turning camera
 RIM, FAR = np.radians((4.0, 12.0)), np.radians(40.0)
 COARSE_WIDTHS = np.radians((50, 40, 32))        # of the sky that is fitted, step by step, from scratch
 FINE_WIDTH, FINE_STEPS = np.radians(26), 3      # and then, or from the last frame's direction, on the whole map
@@ -65,10 +67,12 @@ class SunFinder:
     """Looks at the sky of one frame after another; keeps where the sun was."""
 
     def __init__(self) -> None:
-        self._last: Array | None = None
+        self.reset()
 
     def reset(self) -> None:
-        self._last = None
+        self._last: Array | None = None
+        self._weather = (0.0, 0.0)
+        self._age = 0
 
     def look(self, radiance_map: RadianceMap) -> Sky:
         """At a map as the tone curve gives it."""
@@ -81,9 +85,12 @@ class SunFinder:
         shown = _Shown(radiance_map)
         region = shown.region()
         if region is None:
+            self._age = 0
             return NO_SKY
-        clear, sunny = shown.clearness(region)
-        score = clear * sunny
+        if self._age % WEATHER_EVERY == 0:
+            self._weather = shown.clearness(region)
+        self._age += 1
+        clear, score = self._weather[0], self._weather[0] * self._weather[1]
         if score < MIN_SCORE:
             return Sky(clear, 0.0, None)
         return Sky(clear, score, self._direction(radiance_map, shown, region))
@@ -118,7 +125,7 @@ def sun_in(sky: Sky, restored: RadianceMap) -> Sun | None:
         return None
     height, width = restored.rgb.shape[:2]
     upward = np.maximum(pixel_directions(height, width)[:, :1, 1], 0.0) * solid_angles(height, width)
-    on_the_ground = float((luminance_of(restored.rgb) * upward).sum())
+    on_the_ground = float(restored.luminance.sum(axis=1, dtype=np.float64) @ upward[:, 0])
     return Sun(sky.direction, np.full(3, sky.score * DIRECT_TO_SKY * on_the_ground))
 
 
@@ -165,7 +172,7 @@ class _Region:
         return along
 
 
-def _halved(values: Array) -> Array:
+def _halved(values: Floats) -> Floats:
     """A map at half its size, where that can be."""
     if values.shape[0] % 2 or values.shape[1] % 2:
         return values
@@ -219,7 +226,7 @@ class _Shown:
 class _SkySamples:
     """Texels of a clear sky: their directions, ln of the least channel, which is the last to clip, and what weighs them."""
 
-    def __init__(self, rgb: Array, clipped: Array, directions: Array, angles: Array) -> None:
+    def __init__(self, rgb: Floats, clipped: Floats, directions: Array, angles: Array) -> None:
         lowest = np.minimum(np.minimum(rgb[:, 0], rgb[:, 1]), rgb[:, 2])
         usable = (clipped < 1e-3) & (directions[:, 1] > HORIZON) & (lowest > 1e-3)
         self._directions, self._weights = directions[usable], angles[usable]

@@ -19,12 +19,13 @@ from renderer.light_detection import MIN_ANGULAR_RADIUS, Detection, Light
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
+Floats = NDArray[np.floating]
 WIDTH, HEIGHT = 600, 300      # of the whole frame; the upper half is looked at
 SIGMAS = 2.0
 KEPT_ENERGY = 0.9
 
 
-def detect_by_threshold(upper: Array32, radiance: Array, sigmas: float = SIGMAS) -> Detection:
+def detect_by_threshold(upper: Array32, radiance: Floats, sigmas: float = SIGMAS) -> Detection:
     """Lights of the upper half, (150, 600, 3) radiance; `radiance`, (height, width, 3), is the map to be clamped.
 
     What the paper drops (weak lights, the lower half) is clamped all the same: its energy is lost.
@@ -38,7 +39,7 @@ def detect_by_threshold(upper: Array32, radiance: Array, sigmas: float = SIGMAS)
     return Detection(tuple(lights), clamped, clamped, threshold)
 
 
-def _clamped(radiance: Array, threshold: float) -> Array:
+def _clamped(radiance: Floats, threshold: float) -> Floats:
     luminance = radiance @ WEIGHTS
     clamped, bright = radiance.copy(), luminance > threshold
     clamped[bright] *= (threshold / luminance[bright])[:, None]
