@@ -15,6 +15,7 @@ from renderer.inverse_tone_mapping import WEIGHTS
 from renderer.irradiance import project
 from renderer.light_detection import MIN_ANGULAR_RADIUS, Detection, Light, find_candidates
 from renderer.light_fitting import Probe
+from renderer.light_refinement import Moments, refined
 from renderer.light_tracking import DEFAULT_STEP_S, LightNames, LightTracker
 from renderer.radiance_map import RadianceMap
 from renderer.scene import Lighting
@@ -42,6 +43,15 @@ class FrameLight:
     kept: NDArray[np.float32] | None = None
 
 
+@dataclass(frozen=True)
+class FrameAccess:
+    """`upper_half`: of the frame, as the papers' detection wants it; `moments`: of pixels inside texels of the map (None: the map
+    has the frame's own pixels)."""
+
+    upper_half: Callable[[], NDArray[np.float32]]
+    moments: Moments | None
+
+
 class LightReader:
     """Reads one frame after another; keeps what the methods remember of earlier ones."""
 
@@ -57,9 +67,9 @@ class LightReader:
             part.reset()
         self._moment = None
 
-    def read(self, radiance_map: RadianceMap, upper: Callable[[], NDArray[np.float32]], lighting: Lighting,
-             moment: float | None, timings: Timings) -> FrameLight:
-        """`upper` gives the upper half of the frame as the papers' detection wants it, if it is asked for."""
+    def read(self, radiance_map: RadianceMap, frame: FrameAccess, lighting: Lighting, moment: float | None,
+             timings: Timings) -> FrameLight:
+        """`frame` gives what the methods want to see of the frame itself."""
         method = lighting.method("lights")
         if method != self._method:
             self.reset()
@@ -69,11 +79,12 @@ class LightReader:
                 radiance_map, sun = self._restored(radiance_map, lighting, moment)
         with timings.stage("lights"):
             if method == "threshold":
-                detection = self._by_threshold(radiance_map, upper(), lighting)
+                detection = self._by_threshold(radiance_map, frame.upper_half(), lighting)
             elif method == "probe":
                 detection = self._by_probe(radiance_map, lighting, sun)
             else:
-                detection = self._tracker.update(find_candidates(radiance_map, lighting.threshold, sun), moment)
+                found = find_candidates(radiance_map, lighting.threshold, sun)
+                detection = self._tracker.update(found if frame.moments is None else refined(found, frame.moments), moment)
         with timings.stage("irradiance"):
             soft = _small(detection.soft)
             coefficients = project(soft)

@@ -17,7 +17,8 @@ from renderer.gltf import GltfError, transform
 from renderer.inverse_tone_mapping import WEIGHTS, linear_from_radiance
 from renderer.irradiance import disc_cosine, irradiance
 from renderer.light_detection import MAX_LIGHTS, Light
-from renderer.light_reading import FrameLight, LightReader
+from renderer.light_reading import FrameAccess, FrameLight, LightReader
+from renderer.light_refinement import MomentStage
 from renderer.mesh import Surface
 from renderer.mesh_library import MeshLibrary
 from renderer.objects import MIRROR_BELOW, GpuMesh, Illumination, ObjectStage, PlacedMesh
@@ -84,6 +85,9 @@ class Pipeline:
         self._composite = CompositeStage(context, self._panorama)
         self._meshes = MeshLibrary(lambda mesh: GpuMesh(context, self._objects.surface_programs, mesh), assets, mesh_root)
         self._reader = LightReader()
+        is_reduced = self._radiance.size[0] < size[0] or self._radiance.size[1] < size[1]
+        self._moments = MomentStage(context, self._panorama, self._radiance.size) if is_reduced else None
+        self._access = FrameAccess(self._upper_half, None if self._moments is None else self._moments.run)
         self._upper: RadianceMapStage | None = None     # made when it is first wanted
         self._rings: RingSource | None = None
         self._lit: _Lit | None = None
@@ -158,7 +162,7 @@ class Pipeline:
     def _light(self, timings: Timings, moment: float | None, lighting: Lighting) -> FrameLight:
         with timings.stage("radiance_map"):
             radiance_map = self._radiance.run()
-        return self._reader.read(radiance_map, self._upper_half, lighting, moment, timings)
+        return self._reader.read(radiance_map, self._access, lighting, moment, timings)
 
     def _fill_rings(self, light: FrameLight) -> None:
         if self._rings is None:
@@ -275,7 +279,8 @@ class Pipeline:
     def release(self) -> None:
         self._context.rest()
         self._meshes.release()
-        release_all(self._composite, self._shadows, self._objects, self._radiance, self._panorama, self._upper, self._rings)
+        release_all(self._composite, self._shadows, self._objects, self._upper, self._rings, self._moments, self._radiance,
+                    self._panorama)
 
 
 def _copied(frame: Frame, output: YuvFrame | None) -> YuvFrame:
