@@ -3,9 +3,8 @@
 A clear sky with the sun in it is blue far from a clipped region, which is round or grows steadily when the level is lowered
 and has no red rim, as that of a sun at or below the horizon has. Its direct irradiance is about six times what its sky gives
 the ground (clear skies: four to eight, whatever the height of the sun), and white. It stands in the middle of the aureole, not of
-the clipped region, which the horizon cuts: the logarithm of the radiance around falls linearly with that of the angle to the
-sun, and rises towards the horizon; the direction for which that fits best is the sun's (variable projection, a few steps from the
-last frame's). The bounds below come from two captures with such a sun and fifteen without (`make bench-light`, table "range").
+the clipped region, which the horizon cuts (`aureole.py`). The bounds below come from two captures with such a sun and fifteen
+without it (`make bench-light`, table "range"): few.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from renderer.aureole import HORIZON, MIN_TEXELS, SkySamples, fitted_sun
 from renderer.equirectangular import pixel_directions, solid_angles
 from renderer.inverse_tone_mapping import approximate_linear_from_radiance
 from renderer.light_sources import label_components, luminance_of
@@ -32,14 +32,8 @@ SLACK = (2.0, 2.6)              # exponent of the growth of what is brighter tha
 MIN_SCORE = 0.02
 WEATHER_EVERY = 5               # frames; it changes more slowly than the sun moves in a turning camera
 RIM, FAR = np.radians((4.0, 12.0)), np.radians(40.0)
-COARSE_WIDTHS = np.radians((50, 40, 32))        # of the sky that is fitted, step by step, from scratch
-FINE_WIDTH, FINE_STEPS = np.radians(26), 3      # and then, or from the last frame's direction, on the whole map
-MAX_VARIANCE = 0.015            # of ln radiance that the fit may leave: more, and the horizon or clouds have a part in it
-ANGLE_OFFSET, HORIZON_OFFSET = 0.02, 0.15
 ELONGATED = (1.05, 1.2)         # of the region; a disc is the sun however fast it grows
-HORIZON, LOWEST_SUN = 0.05, np.radians(3.0)
-MAX_TURN = 0.1
-MIN_TEXELS = 60
+LOWEST_SUN = np.radians(3.0)
 OUTLINE = 50                    # points of the region that stand for its outline
 
 
@@ -96,27 +90,10 @@ class SunFinder:
         return Sky(clear, score, self._direction(radiance_map, shown, region))
 
     def _direction(self, radiance_map: RadianceMap, shown: _Shown, region: _Region) -> Array:
-        fitted = _fitted(radiance_map, shown.samples(), region.centre, self._last)
+        fitted = fitted_sun(radiance_map, shown.samples(), region.centre, self._last)
         if fitted is not None and float(np.arccos(np.clip(fitted @ region.centre, -1, 1))) < region.reach:
             return fitted
         return region.low_sun() if region.lowest < HORIZON else region.centre
-
-
-def _fitted(radiance_map: RadianceMap, coarse: _SkySamples, centre: Array, last: Array | None) -> Array | None:
-    """The direction around which the sky falls off most evenly, step by step in a narrower part of it; None if it does not."""
-    sun = centre if last is None else last
-    for width in COARSE_WIDTHS if last is None else ():
-        sun = coarse.turned(sun, width)[0]
-    if coarse.turned(sun, COARSE_WIDTHS[0])[1] > MAX_VARIANCE:
-        return None
-    height, width = radiance_map.clipped.shape
-    directions = pixel_directions(height, width).reshape(-1, 3)
-    near = np.flatnonzero(directions @ sun > np.cos(FINE_WIDTH + MAX_TURN))
-    fine = _SkySamples(approximate_linear_from_radiance(radiance_map.rgb.reshape(-1, 3)[near]), radiance_map.clipped.ravel()[near],
-                       directions[near], np.asarray(solid_angles(height, width)[near // width, 0], dtype=np.float64))
-    for _ in range(FINE_STEPS):
-        sun = fine.turned(sun, FINE_WIDTH)[0]
-    return sun
 
 
 def sun_in(sky: Sky, restored: RadianceMap) -> Sun | None:
@@ -201,8 +178,8 @@ class _Shown:
         texels = np.flatnonzero(labels.ravel() == best)
         return _Region(texels, self._angles.ravel()[texels], self._directions.reshape(-1, 3)[texels])
 
-    def samples(self) -> _SkySamples:
-        return _SkySamples(self._rgb.reshape(-1, 3), self._clipped.ravel(), self._directions.reshape(-1, 3), self._angles.ravel())
+    def samples(self) -> SkySamples:
+        return SkySamples(self._rgb.reshape(-1, 3), self._clipped.ravel(), self._directions.reshape(-1, 3), self._angles.ravel())
 
     def clearness(self, region: _Region) -> tuple[float, float]:
         """Whether the sky is clear far from the region, and whether the region is an aureole with the sun in it."""
@@ -221,46 +198,6 @@ class _Shown:
         growth = np.log(max(brighter, 1.0)) / np.log(WHITE / HALF_WHITE)
         aureole = max(1 - _step(growth, SLACK), 1 - _step(region.elongation, ELONGATED))
         return _step(np.log(blue / red), BLUE), (1 - _step(rim_red / rim_green, REDDENED)) * aureole
-
-
-class _SkySamples:
-    """Texels of a clear sky: their directions, ln of the least channel, which is the last to clip, and what weighs them."""
-
-    def __init__(self, rgb: Floats, clipped: Floats, directions: Array, angles: Array) -> None:
-        lowest = np.minimum(np.minimum(rgb[:, 0], rgb[:, 1]), rgb[:, 2])
-        usable = (clipped < 1e-3) & (directions[:, 1] > HORIZON) & (lowest > 1e-3)
-        self._directions, self._weights = directions[usable], angles[usable]
-        self._values = np.log(lowest[usable])
-        self._heights = 1 / (self._directions[:, 1] + HORIZON_OFFSET)
-
-    def turned(self, sun: Array, width: float) -> tuple[Array, float]:
-        """One Gauss-Newton step of the direction for ln L = a + b ln(angle + offset) + c / (height + offset), over the texels
-        within that angle; a, b and c follow. And the variance that was left unexplained before it; infinite with too few texels."""
-        cosine = self._directions @ sun
-        near = cosine > np.cos(width)
-        if np.count_nonzero(near) < MIN_TEXELS:
-            return sun, np.inf
-        directions, angle = self._directions[near], np.arccos(np.minimum(cosine[near], 1.0))
-        tangents = _tangents(sun)
-        slopes = -(directions @ tangents.T) / (np.maximum(np.sin(angle), 1e-3) * (angle + ANGLE_OFFSET))[:, None]
-        columns = np.column_stack([np.ones_like(angle), np.log(angle + ANGLE_OFFSET), self._heights[near], slopes,
-                                   self._values[near]])
-        products = columns.T @ (columns * self._weights[near][:, None])
-        # what a, b and c explain is taken out of the rest (the Schur complement of their normal equations)
-        explained = np.linalg.solve(products[:3, :3] + 1e-12 * np.eye(3), products[:3, 3:])
-        left = products[3:, 3:] - products[3:, :3] @ explained
-        falloff = explained[1, 2]
-        normal = falloff**2 * left[:2, :2]
-        turn = np.linalg.solve(normal + 1e-9 * max(float(np.trace(normal)), 1e-12) * np.eye(2), falloff * left[:2, 2])
-        turn *= min(1.0, MAX_TURN / max(float(np.linalg.norm(turn)), 1e-12))
-        moved = sun + turn @ tangents
-        return np.asarray(moved / np.linalg.norm(moved)), float(left[2, 2] / self._weights[near].sum())
-
-
-def _tangents(direction: Array) -> Array:
-    first = np.cross(direction, (0.0, 1.0, 0.0) if abs(direction[1]) < 0.9 else (1.0, 0.0, 0.0))
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(direction, first)])
 
 
 def _step(value: float, edges: tuple[float, float]) -> float:

@@ -86,6 +86,17 @@ float disc_cosine(float cosine, float radius) {
     return cosine >= s ? cosine : (rising <= 0.0 ? 0.0 : rising * rising / (4.0 * s));
 }
 
+// A wide lobe does not point where a mirror would: shadowing and the horizon turn it towards the normal. Lagarde & de Rousiers 2014,
+// "Moving Frostbite to physically based rendering", section 4.9.3.
+vec3 dominant_direction(vec3 mirrored, vec3 normal, float roughness) {
+#if HAS_RINGS
+    return mirrored;    // as the papers have it
+#else
+    float alpha = roughness * roughness, smoothness = 1.0 - alpha;
+    return normalize(mix(normal, mirrored, smoothness * (sqrt(smoothness) + alpha)));
+#endif
+}
+
 struct Surface { vec3 normal; vec3 position; vec3 color; float metallic; vec3 emissive; float roughness; vec3 lobe; };
 
 vec3 shade(Surface s, vec3 view, vec3 reflected, vec3 step_x, vec3 step_y) {
@@ -183,7 +194,7 @@ void main() {
         Group group = i == 0 ? near : far;
         Surface s = surface_at(group.sample_sum.rgb / group.members, group.first.a,
                                corner + ivec2(group.first_index & 1, group.first_index >> 1), direction);
-        vec3 reflected = seen_direction(s.position, reflect(direction, s.normal));
+        vec3 reflected = seen_direction(s.position, dominant_direction(reflect(direction, s.normal), s.normal, s.roughness));
         total += group.weight * sanitize(shade(s, -direction, reflected, step_x, step_y));
     }
     radiance = vec4(total, near.weight + far.weight);

@@ -46,6 +46,13 @@ class RealWorker:
                 for frame in self._decoder.decode(av.Packet(payload)):
                     yield int(message["frame"]), frame.to_ndarray(format="rgb24")
 
+    def light_methods(self) -> Iterator[str]:
+        """The method of each light message as it comes."""
+        while True:
+            message, _ = receive_message(self._socket)
+            if message["type"] == "lights":
+                yield str(message["message"]["method"])
+
     def stop(self) -> None:
         self.send({"type": "stop"})
         assert self._process.wait(LIMIT_S) == 0
@@ -78,6 +85,15 @@ def test_an_edit_is_in_the_picture_within_three_frames(worker: RealWorker) -> No
         assert seen_in - newest <= 3, f"edit {revision}: the first frame after {newest} that shows it is {seen_in}"
         for _ in range(5):
             newest, picture = next(pictures)
+
+
+def test_the_scene_chooses_the_methods_while_it_runs(worker: RealWorker) -> None:
+    methods = worker.light_methods()
+    assert next(methods) == "default"
+    for revision, method in enumerate(("threshold", "probe", "default"), start=1):
+        lighting = {"lights": method, "diffuse": "map32x16", "glossy": "rings36"}
+        worker.send({"type": "scene", "scene": {**SCENE, "lighting": lighting}, "revision": revision})
+        assert method in (found for found, _ in zip(methods, range(30), strict=False))
 
 
 def _dominates(color: np.ndarray[Any, np.dtype[np.uint8]], channel: int) -> bool:
