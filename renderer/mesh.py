@@ -18,6 +18,7 @@ from scipy.spatial import ConvexHull, QhullError
 Points = NDArray[np.float32]
 Triangles = NDArray[np.int32]
 MAX_PROXY_TRIANGLES = 128
+MAX_FINE_TRIANGLES = 500
 _OUTLINE_STEPS = 4
 
 
@@ -60,12 +61,12 @@ class Mesh:
     @cached_property
     def proxy(self) -> tuple[Points, Triangles]:
         """(n, 3) points and (m <= 128, 3) triangles that cast the shadow in place of the mesh."""
-        points, triangles = welded(self)
-        if len(triangles) > MAX_PROXY_TRIANGLES:
-            points, triangles = fast_simplification.simplify(points, triangles, target_count=MAX_PROXY_TRIANGLES)
-        if len(triangles) > MAX_PROXY_TRIANGLES:  # many loose parts, which edge collapse cannot join
-            points, triangles = _clustered(points, triangles)
-        return np.asarray(points, dtype=np.float32), np.asarray(triangles, dtype=np.int32)
+        return _simplified(self, MAX_PROXY_TRIANGLES)
+
+    @cached_property
+    def fine_proxy(self) -> tuple[Points, Triangles]:
+        """The same with up to 500 triangles, for shadows whose edge is sharp enough to show them."""
+        return _simplified(self, MAX_FINE_TRIANGLES)
 
     @cached_property
     def outline(self) -> Points:
@@ -99,7 +100,16 @@ def welded(mesh: Mesh) -> tuple[Points, Triangles]:
     return unique, triangles[(a != b) & (b != c) & (c != a)].astype(np.int32)
 
 
-def _clustered(points: Points, triangles: Triangles) -> tuple[Points, Triangles]:
+def _simplified(mesh: Mesh, most: int) -> tuple[Points, Triangles]:
+    points, triangles = welded(mesh)
+    if len(triangles) > most:
+        points, triangles = fast_simplification.simplify(points, triangles, target_count=most)
+    if len(triangles) > most:  # many loose parts, which edge collapse cannot join
+        points, triangles = _clustered(points, triangles, most)
+    return np.asarray(points, dtype=np.float32), np.asarray(triangles, dtype=np.int32)
+
+
+def _clustered(points: Points, triangles: Triangles, most: int) -> tuple[Points, Triangles]:
     """Vertices snapped to the finest grid that leaves few enough triangles."""
     low, size = points.min(axis=0), max(float(np.ptp(points, axis=0).max()), 1e-12)
     for cells in (24, 20, 16, 12, 10, 8, 6, 5, 4, 3, 2):
@@ -108,9 +118,9 @@ def _clustered(points: Points, triangles: Triangles) -> tuple[Points, Triangles]
         merged = np.sort(inverse.reshape(-1)[triangles], axis=1)
         a, b, c = merged.T
         merged = np.unique(merged[(a != b) & (b != c) & (c != a)], axis=0)
-        if len(merged) <= MAX_PROXY_TRIANGLES:
+        if len(merged) <= most:
             break
-    return (unique / cells * size + low).astype(np.float32), merged[:MAX_PROXY_TRIANGLES].astype(np.int32)
+    return (unique / cells * size + low).astype(np.float32), merged[:most].astype(np.int32)
 
 
 def _grid(rows: int, columns: int) -> Triangles:

@@ -20,10 +20,12 @@ from renderer.light_detection import Light
 from renderer.objects import GpuMesh, PlacedMesh
 
 Array = NDArray[np.float64]
+LIGHT, AMBIENT, FINE_LIGHT = 0, 1, 2     # proxies, each with the program it is drawn by
 CELL = 128                 # texels a side of one light's shadow map
 AMBIENT_CELL = 64
 GRID = 8                   # cells a side of either atlas
 MAX_SAMPLES = 10
+SHARP = 4                   # texels; a narrower penumbra shows the corners of a coarse proxy
 AMBIENT_SAMPLES = 96
 FIRST_UNIT = 8            # texture units after the panorama's
 MIN_ELEVATION = np.sin(np.radians(3.0))   # of a sample; flatter ones would cast without end
@@ -168,7 +170,8 @@ class ShadowStage:
         set_uniforms(self._light_program, {
             "sample_direction": np.pad(samples, ((0, 128 - len(samples)), (0, 0))), "sample_count": len(samples),
             "weight": 1.0 / count})
-        self._draw(self._target, self._light_program, 0, placed, shadow, ground_y, len(samples))
+        proxy = FINE_LIGHT if penumbra < SHARP * texel else LIGHT
+        self._draw(self._target, self._light_program, proxy, placed, shadow, ground_y, len(samples))
         return shadow
 
     def ambient_shadow(self, key: str, placed: PlacedMesh, ground_y: float) -> ShadowMap | None:
@@ -189,7 +192,7 @@ class ShadowStage:
                                   float(high[2] + reach)), -1)
         self._ambient[key] = (state, shadow)
         self._weighed = None
-        self._draw(self._ambient_target, self._ambient_program, 1, placed, shadow, ground_y, AMBIENT_SAMPLES)
+        self._draw(self._ambient_target, self._ambient_program, AMBIENT, placed, shadow, ground_y, AMBIENT_SAMPLES)
         return shadow
 
     def _texels(self, rect: tuple[float, float, float, float], ground_y: float) -> int:
@@ -243,11 +246,13 @@ class ShadowStage:
 
     def _proxy(self, placed: PlacedMesh) -> list[moderngl.VertexArray]:
         if placed.mesh not in self._proxies:
-            points, triangles = placed.mesh.mesh.proxy
-            buffers = [self._gl.buffer(points.astype("f4").tobytes()), self._gl.buffer(triangles.astype("i4").tobytes())]
-            arrays = [self._gl.vertex_array(program, [(buffers[0], "3f", "position")], index_buffer=buffers[1],
-                                            index_element_size=4)
-                      for program in (self._light_program, self._ambient_program)]
+            mesh, buffers, arrays = placed.mesh.mesh, [], []
+            for program, (points, triangles) in ((self._light_program, mesh.proxy), (self._ambient_program, mesh.proxy),
+                                                 (self._light_program, mesh.fine_proxy)):
+                own = [self._gl.buffer(points.astype("f4").tobytes()), self._gl.buffer(triangles.astype("i4").tobytes())]
+                buffers += own
+                arrays.append(self._gl.vertex_array(program, [(own[0], "3f", "position")], index_buffer=own[1],
+                                                    index_element_size=4))
             self._proxies[placed.mesh] = (buffers, arrays)
         return self._proxies[placed.mesh][1]
 
