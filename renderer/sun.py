@@ -2,7 +2,8 @@
 
 A clear sky with the sun in it is blue far from a clipped region, which is round or grows steadily when the level is lowered
 and has no red rim, as that of a sun at or below the horizon has. Its direct irradiance is about six times what its sky gives
-the ground (clear skies: four to eight, whatever the height of the sun), and white. It stands in the middle of the aureole, not of
+the ground (clear skies: four to eight, whatever the height of the sun), and white; less, down to twice, if the ground shows no
+contrast that such a sun would make between what it lights and what it does not. It stands in the middle of the aureole, not of
 the clipped region, which the horizon cuts (`aureole.py`). The bounds below come from two captures with such a sun and fifteen
 without it (`make bench-light`, table "range"): few.
 """
@@ -25,7 +26,9 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.floating]
 WHITE, HALF_WHITE = 0.95, 0.5
 MIN_REGION_SR = 1e-3            # below the horizon's cosine; a smaller clipped region is a lamp or a glint
-DIRECT_TO_SKY = 6.0             # irradiance facing the sun, in units of that of the sky on the ground
+DIRECT_TO_SKY = (2.0, 6.0)      # irradiance facing the sun, in units of that of the sky on the ground: least and usual
+SHADED_SHARE = 0.02             # of the ground; as dark as its shadows, if there are any
+GROUND, LEAST_SINE = -0.15, 0.2     # heights: of directions that are ground below, and of the sun
 BLUE = (0.8, 1.2)               # ln(blue / red) far from the region: no clear sky below, one above
 REDDENED = (0.75, 0.9)          # red / green of the rim: not below, the sun is down above
 SLACK = (2.0, 2.6)              # exponent of the growth of what is brighter than a level: an aureole below, a mere bright sky above
@@ -39,11 +42,13 @@ OUTLINE = 50                    # points of the region that stand for its outlin
 
 @dataclass(frozen=True)
 class Sky:
-    """How clear it is and how sure that the sun is in it, both 0 to 1; the direction to the sun (None: there is none)."""
+    """How clear it is and how sure that the sun is in it, both 0 to 1; the direction to the sun (None: there is none); by how
+    much the ground's middle is brighter than its shadows, less 1: what the sun gives it in units of what the sky does, at most."""
 
     clear: float
     score: float
     direction: Array | None
+    contrast: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -65,7 +70,7 @@ class SunFinder:
 
     def reset(self) -> None:
         self._last: Array | None = None
-        self._weather = (0.0, 0.0)
+        self._weather, self._contrast = (0.0, 0.0), np.inf
         self._age = 0
 
     def look(self, radiance_map: RadianceMap) -> Sky:
@@ -82,12 +87,12 @@ class SunFinder:
             self._age = 0
             return NO_SKY
         if self._age % WEATHER_EVERY == 0:
-            self._weather = shown.clearness(region)
+            self._weather, self._contrast = shown.clearness(region), shown.ground_contrast()
         self._age += 1
         clear, score = self._weather[0], self._weather[0] * self._weather[1]
         if score < MIN_SCORE:
             return Sky(clear, 0.0, None)
-        return Sky(clear, score, self._direction(radiance_map, shown, region))
+        return Sky(clear, score, self._direction(radiance_map, shown, region), self._contrast)
 
     def _direction(self, radiance_map: RadianceMap, shown: _Shown, region: _Region) -> Array:
         fitted = fitted_sun(radiance_map, shown.samples(), region.centre, self._last)
@@ -103,7 +108,8 @@ def sun_in(sky: Sky, restored: RadianceMap) -> Sun | None:
     height, width = restored.rgb.shape[:2]
     upward = np.maximum(pixel_directions(height, width)[:, :1, 1], 0.0) * solid_angles(height, width)
     on_the_ground = float(restored.luminance.sum(axis=1, dtype=np.float64) @ upward[:, 0])
-    return Sun(sky.direction, np.full(3, sky.score * DIRECT_TO_SKY * on_the_ground))
+    ratio = float(np.clip(sky.contrast / max(float(sky.direction[1]), LEAST_SINE), *DIRECT_TO_SKY))
+    return Sun(sky.direction, np.full(3, sky.score * ratio * on_the_ground))
 
 
 @dataclass(frozen=True)
@@ -177,6 +183,14 @@ class _Shown:
             return None
         texels = np.flatnonzero(labels.ravel() == best)
         return _Region(texels, self._angles.ravel()[texels], self._directions.reshape(-1, 3)[texels])
+
+    def ground_contrast(self) -> float:
+        """Of the median to the darkest few hundredths of what is below the horizon, less 1; infinite if there is no ground."""
+        luminance = self._luminance[self._height < GROUND]
+        if not len(luminance):
+            return np.inf
+        shaded, middle = np.quantile(luminance, (SHADED_SHARE, 0.5))    # near the nadir texels are smaller: they count for more
+        return float(middle / max(float(shaded), 1e-3) - 1.0)
 
     def samples(self) -> SkySamples:
         return SkySamples(self._rgb.reshape(-1, 3), self._clipped.ravel(), self._directions.reshape(-1, 3), self._angles.ravel())
