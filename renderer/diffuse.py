@@ -18,7 +18,7 @@ from renderer.specular import azimuthal_kernel, filtered, resample, spectrum_of
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 Floats = NDArray[np.floating]
-IRRADIANCE_ROWS = 32
+IRRADIANCE_ROWS = 48
 COSINE_FREQUENCIES = 25     # over azimuth; what they leave out is part of the error that `make bench-light` prints
 HARMONICS_SUFFICE = 0.0025    # predicted relative rms error of irradiance; above it the map is convolved
 

@@ -27,6 +27,7 @@ Array32 = NDArray[np.float32]
 Guess = Callable[[], Array]
 PROBE_SUBDIVISIONS, ENVIRONMENT_SUBDIVISIONS = 2, 4     # of an icosahedron: 320 and 5120 facets
 MAX_ITERATIONS = 30
+WARM_ITERATIONS = 3         # from the last frame's fit: what they leave, the next frame's take up
 CONVERGED = 1e-3            # relative decrease of the squared error in one step
 MAX_ERROR = 0.02            # rms of the probe's irradiance, relative: Weber's just noticeable difference
 FEWER_BELOW = 0.5           # of MAX_ERROR: then one light less is tried
@@ -63,7 +64,7 @@ class Probe:
         only when a light is to be added; `count`: number of lights, None for the fewest whose error is below `max_error`."""
         target = probe_irradiance(radiance)
         scale = max(_rms(target), 1e-12)
-        problem = _Problem(target / scale)
+        problem = _Problem(target / scale, WARM_ITERATIONS if len(self._directions) else MAX_ITERATIONS)
         found = (problem.with_count(self._directions, guess, count) if count is not None
                  else problem.with_fewest(self._directions, guess, max_error))
         self._directions = found.directions
@@ -86,8 +87,8 @@ class _State:
 class _Problem:
     """One probe to be explained, scaled to an rms of about 1."""
 
-    def __init__(self, target: Array) -> None:
-        self._target = target
+    def __init__(self, target: Array, most_iterations: int) -> None:
+        self._target, self._most_iterations = target, most_iterations
         self._normals = probe_normals()
         self._norm = max(_rms(target), 1e-12)
         self.iterations = 0
@@ -136,7 +137,7 @@ class _Problem:
     def _refined(self, state: _State) -> _State:
         """Levenberg-Marquardt over colours and directions together."""
         damping = 1e-3
-        for _ in range(MAX_ITERATIONS if len(state.directions) else 0):
+        for _ in range(self._most_iterations if len(state.directions) else 0):
             self.iterations += 1
             tried = self._step(state, damping)
             if tried.error < state.error:

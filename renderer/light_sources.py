@@ -17,6 +17,7 @@ from renderer.inverse_tone_mapping import WEIGHTS
 from renderer.radiance_map import RadianceMap
 
 Array = NDArray[np.float64]
+Floats = NDArray[np.floating]
 Indices = NDArray[np.intp]
 Labels = NDArray[np.int32]      # (height, width); 0 is none
 MAX_ANGULAR_RADIUS = np.radians(22.0)   # wider sources cast no shadow to speak of
@@ -109,6 +110,12 @@ class _Segments:
             result[self.present] = np.add.reduceat(values, self._starts, axis=0)
         return result
 
+    def maxima(self, values: Floats, count: int) -> Array:
+        """(count + 1,) largest of (n,) values that are not negative, by label."""
+        result = np.zeros(count + 1)
+        result[self.present] = np.maximum.reduceat(values, self._starts)
+        return result
+
 
 def _components(grid: Grid, threshold: float, negligible: float) -> Labels | None:
     """Connected texels above the threshold, 1 to n; of those that are too wide for a light, what a higher one leaves."""
@@ -128,8 +135,7 @@ def _components(grid: Grid, threshold: float, negligible: float) -> Labels | Non
         wide = np.arccos(np.clip(2 * resultant - 1, -1, 1)) > MAX_ANGULAR_RADIUS
         # a rim may add as much again
         strong = (sums[:, 4] > 0.5 * negligible) & (sums[:, 0] > 0.0)
-        maxima = np.zeros(count + 1)
-        np.maximum.at(maxima, names, grid.luminance[texels])
+        maxima = segments.maxima(grid.luminance[texels], count)
         peaked = wide & strong & (maxima > MIN_PEAK * threshold)
         if not peaked.any():
             break

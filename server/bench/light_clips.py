@@ -16,7 +16,8 @@ from renderer.equirectangular import pixel_directions, solid_angles
 from renderer.frame import RadianceFrame
 from renderer.inverse_tone_mapping import WEIGHTS
 from renderer.light_detection import Light
-from server.bench.light_tables import Pipelines
+from renderer.scene import Lighting
+from server.bench.light_tables import PAPERS, Pipelines
 from server.worker.images import read_still
 from server.worker.picture import PictureReader, output_size
 
@@ -32,11 +33,12 @@ def clip_table(pipelines: Pipelines, folder: Path | None) -> Iterator[str]:
     for path in sorted(folder.glob("*.gt.json")) if folder is not None else []:
         truth = json.loads(path.read_text())
         clip = path.with_name(path.name.removesuffix(".gt.json") + ".mp4")
-        frames = list(_lights(pipelines, clip))
-        yield f"{clip.name:34}{len(frames):7}" + _direction_columns(frames, truth, path.parent) + _stability_columns(frames)
+        for name, lighting in ((clip.name, Lighting()), ("    by the papers' threshold", PAPERS)):
+            frames = list(_lights(pipelines, clip, lighting))
+            yield f"{name:34}{len(frames):7}" + _direction_columns(frames, truth, path.parent) + _stability_columns(frames)
 
 
-def _lights(pipelines: Pipelines, clip: Path) -> Iterator[tuple[float, tuple[Light, ...]]]:
+def _lights(pipelines: Pipelines, clip: Path, lighting: Lighting) -> Iterator[tuple[float, tuple[Light, ...]]]:
     reader = pipeline = None
     with av.open(str(clip)) as container:
         for frame in container.decode(video=0):
@@ -44,7 +46,7 @@ def _lights(pipelines: Pipelines, clip: Path) -> Iterator[tuple[float, tuple[Lig
             picture = reader.read(frame)
             pipeline = pipeline or pipelines.of(picture)
             moment = float(frame.time or 0.0)
-            yield moment, pipeline.analyse(picture, moment)[0].detection.lights
+            yield moment, pipeline.analyse(picture, moment, lighting)[0].detection.lights
 
 
 def _direction_columns(frames: list[tuple[float, tuple[Light, ...]]], truth: dict[str, Any], folder: Path) -> str:

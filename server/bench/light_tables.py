@@ -216,7 +216,8 @@ def _followed(tracker: LightTracker, radiance: Array) -> Detection:
 
 
 def _as_map(radiance: Array) -> RadianceMap:
-    return RadianceMap(radiance, np.zeros(radiance.shape[:2]))
+    """In single precision, as it comes from the GPU."""
+    return RadianceMap(radiance.astype(np.float32), np.zeros(radiance.shape[:2], dtype=np.float32))
 
 
 def rms(values: Array) -> float:

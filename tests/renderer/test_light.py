@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from renderer.diffuse import convolved
+from renderer.diffuse import IRRADIANCE_ROWS, convolved
 from renderer.equirectangular import pixel_directions, solid_angles
 from renderer.irradiance import BAND, COSINE_LOBE, basis, irradiance, project
 from renderer.specular import dfg_table, ggx_lobe, map_rows, prefilter, resample
@@ -53,7 +53,7 @@ def test_the_irradiance_map_is_that_of_direct_summation(azimuth: float) -> None:
     d = pixel_directions(64, 128)
     towards = direction(azimuth, 25.0)
     radiance = 1.0 * (d @ direction(azimuth + 70, 40.0) > 0) + 6.0 * (d @ towards > np.cos(np.radians(15)))
-    out = pixel_directions(32, 64)
+    out = pixel_directions(IRRADIANCE_ROWS, 2 * IRRADIANCE_ROWS)
     weights = np.broadcast_to(solid_angles(64, 128), (64, 128))
     expected = np.maximum(out @ d.reshape(-1, 3).T, 0.0) @ (radiance * weights).ravel()
     found = convolved(np.repeat(radiance[..., None], 3, axis=2))[..., 1]
