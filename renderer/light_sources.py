@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, sparse
+from scipy import ndimage
 
 from renderer.equirectangular import pixel_directions, solid_angles
 from renderer.inverse_tone_mapping import WEIGHTS
@@ -19,7 +19,6 @@ from renderer.radiance_map import RadianceMap
 Array = NDArray[np.float64]
 Floats = NDArray[np.floating]
 Indices = NDArray[np.intp]
-Labels = NDArray[np.int32]      # (height, width); 0 is none
 MAX_ANGULAR_RADIUS = np.radians(22.0)   # wider sources cast no shadow to speak of
 MAX_COMPONENTS = 24           # the strongest are looked at more closely
 MAX_SPLITS = 3                # times the threshold is raised inside a component that is too wide, to find the sun in a bright sky
@@ -67,16 +66,15 @@ def luminance_of(radiance: Array) -> Array:
 
 def find_sources(grid: Grid, threshold: float, negligible: float, most: int) -> list[Source]:
     """The strongest sources, at most so many, that may exceed the `negligible` irradiance; long ones in parts. No texel has two."""
-    labels = _components(grid, threshold, negligible)
-    if labels is None:
+    bright = _components(grid, threshold, negligible)
+    if bright is None:
         return []
-    covered = _spread(labels, labels > 0)
-    segments = _Segments(np.flatnonzero(covered), covered)
-    level = _levels(grid, _spread(covered, covered > 0) * (covered == 0), threshold, int(labels.max()))
-    excess = np.maximum(grid.rgb[segments.texels] - level[segments.names], 0.0)
-    names = _parts(grid, segments, excess)
+    covered = bright.joined(_ring(bright, grid.shape))
+    level = _levels(grid, _ring(covered, grid.shape), threshold)
+    excess = np.maximum(grid.rgb[covered.texels] - level[covered.names], 0.0)
+    names = _parts(grid, covered, excess)
     order = np.argsort(names, kind="stable")
-    texels, excess = segments.texels[order], excess[order]
+    texels, excess = covered.texels[order], excess[order]
     starts = np.flatnonzero(np.diff(names[order], prepend=-1))
     power = np.add.reduceat(luminance_of(excess) * grid.solid_angle(texels), starts)
     best = np.argsort(-power, kind="stable")[:most]
@@ -94,58 +92,64 @@ def source_at(grid: Grid, texels: Indices, threshold: float) -> Source:
 
 
 class _Segments:
-    """Labelled texels in the order of their labels, so that sums over each label are one call."""
+    """Texels with their labels, 1 to `count`, in the order of the labels, so that sums over each label are one call."""
 
-    def __init__(self, texels: Indices, labels: Labels) -> None:
-        names = labels.ravel()[texels]
+    def __init__(self, texels: Indices, names: Indices, count: int) -> None:
         order = np.argsort(names, kind="stable")
-        self.texels, self.names = texels[order], names[order]
+        self.texels, self.names, self.count = texels[order], names[order], count
         self._starts = np.flatnonzero(np.diff(self.names, prepend=-1))
-        self.present = self.names[self._starts]
+        self._present = self.names[self._starts]
 
-    def sums(self, values: Array, count: int) -> Array:
+    def sums(self, values: Array) -> Array:
         """(count + 1, ...) sums of (n, ...) values by label."""
-        result = np.zeros((count + 1, *values.shape[1:]))
+        result = np.zeros((self.count + 1, *values.shape[1:]))
         if len(self._starts):
-            result[self.present] = np.add.reduceat(values, self._starts, axis=0)
+            result[self._present] = np.add.reduceat(values, self._starts, axis=0)
         return result
 
-    def maxima(self, values: Floats, count: int) -> Array:
+    def maxima(self, values: Floats) -> Array:
         """(count + 1,) largest of (n,) values that are not negative, by label."""
-        result = np.zeros(count + 1)
-        result[self.present] = np.maximum.reduceat(values, self._starts)
+        result = np.zeros(self.count + 1)
+        result[self._present] = np.maximum.reduceat(values, self._starts)
         return result
 
+    def joined(self, other: _Segments) -> _Segments:
+        return _Segments(np.concatenate([self.texels, other.texels]), np.concatenate([self.names, other.names]), self.count)
 
-def _components(grid: Grid, threshold: float, negligible: float) -> Labels | None:
-    """Connected texels above the threshold, 1 to n; of those that are too wide for a light, what a higher one leaves."""
-    above = np.full(grid.luminance.size, threshold)
+
+def _components(grid: Grid, threshold: float, negligible: float) -> _Segments | None:
+    """Connected texels above the threshold; of those that are too wide for a light, what a higher one leaves."""
+    above: float | Floats = threshold
     for _ in range(MAX_SPLITS):
-        labels, count = label_components((grid.luminance > above).reshape(grid.shape))
+        mask = grid.luminance > above
+        texels = np.flatnonzero(mask)
+        labels, count = label_components(mask.reshape(grid.shape))
         if count == 0:
             return None
-        segments = _Segments(np.flatnonzero(labels), labels)
-        texels, names = segments.texels, segments.names
-        weights = grid.solid_angle(texels)
-        power = (grid.luminance[texels] - above[texels]) * weights
-        sums = segments.sums(np.column_stack([
-            power, power[:, None] * grid.directions[texels], grid.luminance[texels] * weights]), count)
+        segments = _Segments(texels, labels.ravel()[texels].astype(np.intp), count)
+        luminance, weights = grid.luminance[segments.texels], grid.solid_angle(segments.texels)
+        least = above[segments.texels] if isinstance(above, np.ndarray) else above
+        power = (luminance - least) * weights
+        sums = segments.sums(np.column_stack([power, power[:, None] * grid.directions[segments.texels], luminance * weights]))
         # a uniform cap of half-angle a has resultant length (1 + cos a) / 2
         resultant = np.linalg.norm(sums[:, 1:4], axis=1) / np.maximum(sums[:, 0], 1e-300)
         wide = np.arccos(np.clip(2 * resultant - 1, -1, 1)) > MAX_ANGULAR_RADIUS
         # a rim may add as much again
         strong = (sums[:, 4] > 0.5 * negligible) & (sums[:, 0] > 0.0)
-        maxima = segments.maxima(grid.luminance[texels], count)
+        maxima = segments.maxima(luminance)
         peaked = wide & strong & (maxima > MIN_PEAK * threshold)
         if not peaked.any():
             break
-        raised = peaked[names]
-        above[texels[raised]] = 0.5 * (above[texels[raised]] + maxima[names[raised]])
+        raised = peaked[segments.names]
+        if not isinstance(above, np.ndarray):
+            above = np.full(grid.luminance.size, threshold)
+        above[segments.texels[raised]] = (0.5 * (least + maxima[segments.names]))[raised]
     kept = np.flatnonzero(strong & ~wide)
     kept = kept[np.argsort(-sums[kept, 4], kind="stable")][:MAX_COMPONENTS]
-    table = np.zeros(count + 1, dtype=np.int32)
+    table = np.zeros(count + 1, dtype=np.intp)
     table[kept] = np.arange(1, len(kept) + 1)
-    return table[labels] if len(kept) else None
+    names = table[segments.names]
+    return _Segments(segments.texels[names > 0], names[names > 0], len(kept)) if len(kept) else None
 
 
 @lru_cache(maxsize=4)
@@ -163,35 +167,38 @@ def _neighbours(height: int, width: int) -> NDArray[np.int32]:
     return np.stack(found, axis=1).astype(np.int32)
 
 
-def _spread(labels: Labels, present: NDArray[np.bool_]) -> Labels:
-    """Labels and those of the texels that touch them; labelled texels keep theirs, others have the highest that touches them."""
-    segments = _Segments(np.flatnonzero(present), labels)
-    spread = np.zeros_like(labels)
-    # sorted by label, and of several values for one place the last one stays
-    spread.ravel()[_neighbours(*labels.shape)[segments.texels]] = segments.names[:, None]
-    return np.where(present, labels, spread)
+def _ring(segments: _Segments, shape: tuple[int, ...]) -> _Segments:
+    """The texels that touch these and are none of them, with the highest label that touches them."""
+    around = _neighbours(shape[0], shape[1])[segments.texels].ravel()
+    names, order = np.zeros(shape[0] * shape[1], dtype=np.intp), np.zeros(shape[0] * shape[1], dtype=np.intp)
+    # in the order of the labels, and of several values for one place the last one stays
+    names[around] = np.repeat(segments.names, 8)
+    names[segments.texels] = 0
+    order[around] = np.arange(len(around))
+    once = around[(order[around] == np.arange(len(around))) & (names[around] > 0)]
+    return _Segments(once, names[once], segments.count)
 
 
-def _levels(grid: Grid, ring: Labels, threshold: float, count: int) -> Array:
+def _levels(grid: Grid, ring: _Segments, threshold: float) -> Array:
     """(count + 1, 3) mean radiance of each label's ring, without what is bright there itself."""
-    segments = _Segments(np.flatnonzero((ring.ravel() > 0) & (grid.luminance <= threshold)), ring)
-    weights = grid.solid_angle(segments.texels)
-    sums = segments.sums(np.column_stack([weights, weights[:, None] * grid.rgb[segments.texels]]), count)
+    weights = grid.solid_angle(ring.texels) * (grid.luminance[ring.texels] <= threshold)
+    sums = ring.sums(np.column_stack([weights, weights[:, None] * grid.rgb[ring.texels]]))
     return np.asarray(sums[:, 1:] / np.maximum(sums[:, :1], 1e-300))
 
 
 def _parts(grid: Grid, segments: _Segments, excess: Array) -> Indices:
     """A name for each texel: its label, and for a long source the part along the major axis."""
-    count = int(segments.names.max())
     directions = grid.directions[segments.texels]
     power = luminance_of(excess) * grid.solid_angle(segments.texels)
-    total = np.maximum(segments.sums(power, count), 1e-300)
-    centres = segments.sums(power[:, None] * directions, count) / total[:, None]
+    total = np.maximum(segments.sums(power), 1e-300)
+    centres = segments.sums(power[:, None] * directions) / total[:, None]
     away = directions - centres[segments.names]
-    moments = segments.sums(power[:, None, None] * away[:, :, None] * away[:, None, :], count) / total[:, None, None]
+    moments = segments.sums((power[:, None] * away)[:, :, None] * away[:, None, :]) / total[:, None, None]
     variances, axes = np.linalg.eigh(moments)
     thinnest = (np.pi / grid.shape[0]) ** 2 / 12        # a source is no thinner than a texel
     ratios = np.sqrt(np.maximum(variances[:, 2], thinnest) / np.maximum(variances[:, 1], thinnest))
+    if not (ratios > MAX_AXIS_RATIO).any():
+        return segments.names * MAX_PARTS
     numbers = np.where(ratios > MAX_AXIS_RATIO, np.clip(np.round(ratios / 2), 2, MAX_PARTS), 1)[segments.names]
     along = (away * axes[segments.names, :, 2]).sum(axis=1)
     reach = np.sqrt(3 * np.maximum(variances[:, 2], 1e-300))[segments.names]     # half of a uniform strip with that variance
@@ -222,7 +229,20 @@ def label_components(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int32], int]:
     both = (a > 0) & (b > 0) & (a != b)
     if not both.any():
         return labels, count
-    graph = sparse.coo_array((np.ones(both.sum()), (a[both] - 1, b[both] - 1)), shape=(count, count))
-    merged_count, merged = sparse.csgraph.connected_components(graph, directed=False)
-    table = np.concatenate([[0], merged + 1]).astype(np.int32)
-    return table[labels], int(merged_count)
+    table = _merged(np.unique(np.stack([a[both], b[both]], axis=1), axis=0), count)
+    return table[labels], int(table.max())
+
+
+def _merged(pairs: NDArray[np.int32], count: int) -> NDArray[np.int32]:
+    """(count + 1,) new labels without gaps, the same for both of each pair; they are few, the components that touch an edge."""
+    parent = list(range(count + 1))
+
+    def root(label: int) -> int:
+        while parent[label] != label:
+            parent[label] = label = parent[parent[label]]
+        return label
+
+    for first, second in pairs.tolist():
+        parent[max(root(first), root(second))] = min(root(first), root(second))
+    roots = np.array([root(label) for label in range(count + 1)])
+    return np.asarray(np.unique(roots, return_inverse=True)[1], dtype=np.int32)
