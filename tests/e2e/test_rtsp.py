@@ -33,7 +33,13 @@ def test_publish_feeds_an_rtsp_server(publisher: Callable[..., Publisher], clip:
         assert camera.process.stop() == 0
     finally:
         recorder.process.stop()
+    frames, broken = [], 0
     with av.open(str(recorder.file)) as recorded:
-        frames = list(recorded.decode(video=0))
+        for packet in recorded.demux(video=0):
+            try:
+                frames += packet.decode()
+            except av.error.InvalidDataError:
+                broken += 1
+    assert broken <= 1, "the recorder may be stopped in the middle of its last picture, not more"
     assert len(frames) > 5
     assert {(frame.width, frame.height) for frame in frames} == {(1024, 512)}
