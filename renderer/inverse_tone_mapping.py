@@ -22,6 +22,11 @@ INVERSE_TABLE_SIZE = 4096
 _KNOTS = np.linspace(0.0, 1.0, 65536) ** 2.4
 
 
+def luminance_of(radiance: NDArray[np.floating]) -> NDArray[np.floating]:
+    """(..., 3) to (...) by the papers' weights (eq. 1), in the type that is given."""
+    return np.asarray(radiance @ WEIGHTS.astype(radiance.dtype))
+
+
 def gain(luminance: NDArray[np.floating]) -> NDArray[np.float64]:
     """k of eq. 2 for linear luminance; constant outside [0, 1]."""
     return np.asarray(SLOPE * np.clip(luminance, 0.0, 1.0) ** EXPONENT + OFFSET)

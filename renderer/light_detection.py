@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.highlights import MAX_GAIN
-from renderer.inverse_tone_mapping import WEIGHTS
-from renderer.light_sources import Grid, Source, find_sources, luminance_of, source_at
+from renderer.inverse_tone_mapping import WEIGHTS, luminance_of
+from renderer.light_sources import Grid, Source, find_sources, source_at
 from renderer.radiance_map import RadianceMap
 from renderer.sun import Sun
 
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.floating]
 SIGMAS = 2.0
 MIN_CONTRIBUTION = 0.02       # of the frame's total power, Weber's just noticeable difference
-WIDE_ANGULAR_RADIUS = np.radians(9.0)   # wider ones light surfaces by the harmonics, which are exact for them
+WIDE_ANGULAR_RADIUS = np.radians(9.0)   # wider ones light surfaces from the map, which is exact for them
 MIN_ANGULAR_RADIUS = np.radians(0.2665)  # the sun
 MAX_LIGHTS = 8
 NEGLIGIBLE = 0.35 * MIN_CONTRIBUTION    # a light that is there already dies a little above that
@@ -36,7 +36,7 @@ NOTHING = Source(np.zeros(0, dtype=np.intp), np.zeros((0, 3)))
 @dataclass(frozen=True)
 class Light:
     """A distant light. `direction` points to it; `irradiance` (r, g, b) is on a plane that faces it; `gain` is how much of it was
-    restored: irradiance over what the tone curve says."""
+    restored: irradiance over what the tone curve says; at its limit for a sun that the frame does not show at all."""
 
     direction: Array
     irradiance: Array
@@ -108,7 +108,7 @@ class Found:
 
 
 def find_candidates(radiance_map: RadianceMap, sigmas: float | None = None, sun: Sun | None = None) -> Found:
-    """All sources above the threshold of mean + 2 sigma that are near the gate or clipped, and the sun.
+    """All sources above the threshold of mean + 2 sigma that are near the gate, and the sun.
 
     `sigmas` in place of 2. The sun is no part of the map: it comes on top of it.
     """

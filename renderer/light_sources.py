@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from renderer.equirectangular import pixel_directions, solid_angles
-from renderer.inverse_tone_mapping import WEIGHTS
+from renderer.inverse_tone_mapping import luminance_of
 from renderer.radiance_map import RadianceMap
 
 Array = NDArray[np.float64]
@@ -58,10 +58,6 @@ class Grid:
         mean = float(weights @ luminance.sum(axis=1, dtype=np.float64))
         away = luminance - luminance.dtype.type(mean)
         return mean, float(np.sqrt(weights @ np.einsum("ij,ij->i", away, away, dtype=np.float64)))
-
-
-def luminance_of(radiance: Array) -> Array:
-    return np.asarray(radiance @ WEIGHTS)
 
 
 def find_sources(grid: Grid, threshold: float, negligible: float, most: int) -> list[Source]:

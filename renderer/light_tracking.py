@@ -3,7 +3,7 @@
 When the whole frame becomes brighter or darker, so do the lights at once: that is the camera's exposure. A light is born
 when it has been seen above the gate for a few frames, and dies when it falls below a lower one; both fade, by moving energy
 between the light and the residual, so that their sum is the map's in every frame. One that has vanished from the map is gone
-at once: there is no energy left to fade.
+at once: there is no energy left to fade. A sun that was never in the map fades by itself.
 """
 
 from __future__ import annotations
@@ -77,6 +77,8 @@ class LightTracker:
                 survivors.append(track)
             elif is_held:
                 survivors.append(replace(track, source=NOTHING))
+            elif not len(track.source.texels):      # on top of the map, like the sun of a clipped sky: its power can fade
+                survivors.append(replace(track, dying=True, presence=track.presence - step / FADE_S))
         taken = set(matches.values())
         new = [candidate for index, candidate in enumerate(found.candidates)
                if index not in taken and candidate.contribution > MIN_CONTRIBUTION and not is_held]

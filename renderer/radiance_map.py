@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from renderer.frame import Frame, YuvFrame
 from renderer.gl import Context, release_all, set_uniforms
-from renderer.inverse_tone_mapping import WEIGHTS
+from renderer.inverse_tone_mapping import luminance_of
 from renderer.panorama import PanoramaTextures
 
 TARGET_WIDTH = 256
@@ -37,7 +37,7 @@ class RadianceMap:
     @cached_property
     def luminance(self) -> Floats:
         """(height, width) by the papers' weights."""
-        return np.asarray(self.rgb @ WEIGHTS.astype(self.rgb.dtype))
+        return luminance_of(self.rgb)
 
 
 def map_size(frame_size: tuple[int, int]) -> tuple[int, int]:

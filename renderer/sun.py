@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 
 from renderer.aureole import HORIZON, MIN_TEXELS, SkySamples, fitted_sun
 from renderer.equirectangular import pixel_directions, solid_angles
-from renderer.inverse_tone_mapping import approximate_linear_from_radiance
-from renderer.light_sources import label_components, luminance_of
+from renderer.inverse_tone_mapping import approximate_linear_from_radiance, luminance_of
+from renderer.light_sources import label_components
 from renderer.radiance_map import RadianceMap
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.floating]
 WHITE, HALF_WHITE = 0.95, 0.5
-MIN_REGION_SR = 1e-3            # below the horizon's cosine; a smaller clipped region is a lamp or a glint
+MIN_REGION_SR = 1e-3            # times the sine of its height; a smaller clipped region is a lamp or a glint
 DIRECT_TO_SKY = (2.0, 6.0)      # irradiance facing the sun, in units of that of the sky on the ground: least and usual
 SHADED_SHARE = 0.02             # of the ground; as dark as its shadows, if there are any
 GROUND, LEAST_SINE = -0.15, 0.2     # heights: of directions that are ground below, and of the sun

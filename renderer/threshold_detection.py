@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from renderer.inverse_tone_mapping import WEIGHTS
+from renderer.inverse_tone_mapping import WEIGHTS, luminance_of
 from renderer.light_detection import MIN_ANGULAR_RADIUS, Detection, Light
 
 Array = NDArray[np.float64]
@@ -48,12 +48,7 @@ def _clamped(radiance: Floats, threshold: float) -> Floats:
     return clamped
 
 
-def luminance_of(radiance: Array32) -> Array32:
-    """(height, width) papers' luminance, eq. 3."""
-    return np.asarray(radiance @ WEIGHTS.astype(np.float32))
-
-
-def box_blurred(luminance: Array32) -> Array32:
+def box_blurred(luminance: Floats) -> Array32:
     """3 x 3 means; at the border of the texels that are there."""
     padded = np.pad(luminance, 1, mode="edge")
     tall = padded[:-2] + padded[1:-1] + padded[2:]
@@ -68,7 +63,7 @@ def _geometry(rows: int, columns: int) -> tuple[Array, Array, Array]:
     return theta, ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * np.pi, (edges[:-1] - edges[1:]) * 2 * np.pi / columns
 
 
-def _lights(upper: Array32, luminance: Array32, mask: NDArray[np.bool_], threshold: float) -> list[Light]:
+def _lights(upper: Array32, luminance: Floats, mask: NDArray[np.bool_], threshold: float) -> list[Light]:
     texels = np.flatnonzero(mask)
     if not len(texels):
         return []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -120,11 +120,10 @@ def reflected_glossy(radiance: Array, normals: Array, views: Array, roughness: f
     return _weighted(radiance, weight)
 
 
-def _weighted(radiance: Array, weight: object) -> Array:
-    assert callable(weight)
+def _weighted(radiance: Array, weight: Callable[[Array], NDArray[np.floating]]) -> Array:
     height, width = radiance.shape[:2]
     directions, area = pixel_directions(height, width), solid_angles(height, width)
-    total, norm = 0.0, 0.0
+    total, norm = np.zeros(1), np.zeros(1)
     for row in range(height):
         weights = weight(directions[row]) * area[row, 0]
         total, norm = total + weights @ radiance[row], norm + weights.sum(axis=1, keepdims=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from renderer.equirectangular import solid_angles
 from renderer.inverse_tone_mapping import WEIGHTS
 from renderer.light_detection import Detection, Light, find_candidates
 from renderer.light_tracking import LightNames, LightTracker
+from renderer.sun import Sun
 from tests.renderer.light_maps import HEIGHT, WIDTH, direction, disc, radiance_map
 
 FRAME_S = 1 / 30
@@ -142,6 +145,19 @@ def test_a_lamp_that_is_switched_on_is_born_however_much_brighter_the_frame_beco
     tracker = LightTracker()
     dip(tracker, np.ones(10), (0, 30, 200.0))
     assert len(dip(tracker, np.full(20, 1.5), (0, 30, 200.0), (90, 40, 200.0))[-1].lights) == 2
+
+
+def test_a_sun_that_is_no_part_of_the_map_fades_when_it_is_lost() -> None:
+    tracker, flat = LightTracker(), radiance_map(np.full((HEIGHT, WIDTH), 0.3))
+    shining = find_candidates(flat, sun=Sun(direction(20, 40), np.full(3, 5.0)))
+    for _ in range(5):
+        found = tracker.update(shining)
+    assert found.lights[0].irradiance == pytest.approx(5.0)
+    powers = [float(sum(light.irradiance[0] for light in tracker.update(find_candidates(flat)).lights)) for _ in range(12)]
+    assert 3.5 < powers[0] < 5.0
+    assert all(later <= earlier for earlier, later in itertools.pairwise(powers))
+    assert powers[-1] == 0.0
+    assert tracker.update(shining).lights == (), "a new sun needs three frames"
 
 
 def test_lights_without_a_memory_are_named_after_the_nearest_one_before() -> None:

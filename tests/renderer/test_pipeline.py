@@ -134,7 +134,7 @@ def test_a_white_furnace_leaves_a_white_object_invisible(context: Context) -> No
         wanted = scene({"mesh": "sphere", "position": [0, 0, -2], "casts_shadow": False,
                         "material": {"base_color": [1, 1, 1], "metallic": 1, "roughness": roughness}}, ground={"catcher": False})
         result = radiance(render(context, frame, wanted))
-        assert np.abs(result / 2.0 - 1).max() < 0.02, roughness
+        assert np.abs(result / 2.0 - 1).max() < 0.002, roughness
 
 
 def test_a_mirror_shows_the_codes_of_the_frame(context: Context) -> None:

@@ -57,7 +57,6 @@ def test_under_cloud_and_after_sunset_there_is_none(far: tuple[float, ...], glow
     assert given.clipped.any()
     found = SunFinder().look(given)
     assert found.score < 0.1
-    assert found.direction is None or found.score > 0
 
 
 @pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
