@@ -6,7 +6,7 @@ ARGS ?=
 PYTEST_ARGS ?=
 MAPS ?=
 
-.PHONY: help demo test lint check-python check-web e2e bench bench-light setup setup-test lock clean
+.PHONY: help demo test lint check-python check-web e2e bench bench-light bench-truth setup setup-test setup-truth lock clean
 
 help: ## show the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 16
@@ -29,8 +29,12 @@ check-web: setup-test ## unit tests of the page's modules
 e2e: setup-test ## real RTMP and RTSP servers, real Chromium, a real headset runtime
 	$(BIN)/python -m pytest tests/e2e tests/web $(PYTEST_ARGS)
 
+bench-truth: setup-truth ## objects, shadows and silhouettes against a path tracer; MAPS=FOLDER of radiance maps, e.g. ARGS="--only-scenes five"
+	$(BIN)/python -m tests.benchmarks.truth --maps $(MAPS) $(ARGS)
+
 setup: $(VENV)/.run-ready ## what the service needs
 setup-test: $(VENV)/.test-ready ## what the tests need
+setup-truth: $(VENV)/.truth-ready ## what the path tracer needs
 
 $(VENV)/.run-ready: requirements.lock pyproject.toml scripts/apt-packages.sh
 	@scripts/apt-packages.sh run
@@ -47,6 +51,12 @@ $(VENV)/.test-ready: $(VENV)/.run-ready requirements-dev.lock package-lock.json
 	@npm ci --silent --no-audit --no-fund
 	@touch $@
 
+$(VENV)/.truth-ready: $(VENV)/.run-ready requirements-truth.lock
+	@scripts/apt-packages.sh truth
+	@echo "setting up the path tracer"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements-truth.lock
+	@touch $@
+
 bench: setup ## what each stage of the frame path costs; ARGS="--quick --json FILE"
 	$(BIN)/mr360 bench $(ARGS)
 
@@ -59,6 +69,8 @@ lock: setup-test ## resolve the dependencies of pyproject.toml anew
 		pyproject.toml -o requirements.lock
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --upgrade --extra dev \
 		-c requirements.lock pyproject.toml -o requirements-dev.lock
+	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --upgrade --extra truth \
+		-c requirements.lock pyproject.toml -o requirements-truth.lock
 
 clean: ## remove what setup made
 	rm -rf $(VENV) node_modules build *.egg-info

@@ -94,6 +94,11 @@ class Pipeline:
         self._shadow_tiles: dict[tuple[ShadowMap, float], TileMask] = {}
         self._last_placement: tuple[Scene, dict[str, float], Placement] | None = None
 
+    @property
+    def placement(self) -> Placement | None:
+        """Where the objects of the scene that was rendered last stand."""
+        return None if self._last_placement is None else self._last_placement[2]
+
     def analyse(self, frame: Frame, moment: float | None = None, lighting: Lighting | None = None) -> tuple[FrameLight, Timings]:
         """Find the light of a frame shown at `moment` seconds without compositing anything."""
         timings = Timings()

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Installs the Debian or Ubuntu packages that are missing, and says so. Usage: apt-packages.sh run|test
+# Installs the Debian or Ubuntu packages that are missing, and says so. Usage: apt-packages.sh run|test|truth
 set -eu
 packages="python3-venv libgl1 libegl1 libegl-mesa0 libgl1-mesa-dri"
 if [ "${1:-run}" = test ]; then
@@ -7,6 +7,7 @@ if [ "${1:-run}" = test ]; then
         gstreamer1.0-plugins-base gstreamer1.0-plugins-good gstreamer1.0-plugins-bad gstreamer1.0-plugins-ugly"
     command -v node >/dev/null && command -v npm >/dev/null || packages="$packages nodejs npm"
 fi
+[ "${1:-run}" != truth ] || packages="$packages libllvm19"
 missing=""
 for package in $packages; do
     dpkg-query -W -f '${Status}' "$package" 2>/dev/null | grep -q "ok installed" || missing="$missing $package"
