@@ -16,6 +16,7 @@ from renderer.frame import RadianceFrame, RgbFrame, YuvFrame
 from renderer.gl import Context, release_all, set_uniforms
 from renderer.panorama import PanoramaTextures
 from renderer.placement import TILE, TileMask, View
+from renderer.shading import Drawn
 from renderer.shadows import ShadowMap, ShadowStage
 
 Array = NDArray[np.float64]
@@ -27,8 +28,7 @@ POINT_INTS = 15
 ATLAS_COLUMNS = 32
 FIRST_UNIT = 16           # after those of the object stage, which draws in between
 
-DrawView = Callable[[View], tuple[moderngl.Texture, tuple[int, int]]]
-Drawn = tuple[View, moderngl.Texture, tuple[int, int]]
+DrawView = Callable[[View], Drawn]
 NO_VIEW, PERSPECTIVE, CUBE_FACE = 0, 1, 2     # as in composite.frag.glsl
 Batch = tuple[tuple[int, int], int, int]      # of SLOTS; first point and number of points
 Variant = tuple[int, int, int]   # kind of view; light maps; maps of the residual
@@ -93,7 +93,7 @@ class CompositeStage:
         shadows.atlas.use(FIRST_UNIT + 1)
         shadows.ambient_atlas.use(FIRST_UNIT + 2)
         # all views first: reading a texture that has just been drawn makes a software renderer wait for it
-        drawn = [(view, *draw_view(view)) if batches else None for view, batches in zip(views, plan.batches, strict=False)]
+        drawn = [draw_view(view) if batches else None for view, batches in zip(views, plan.batches, strict=False)]
         assert self._framebuffer is not None
         self._framebuffer.use()
         self._context.gl.enable_only(moderngl.PROGRAM_POINT_SIZE)
@@ -159,7 +159,8 @@ class CompositeStage:
     def _constants(self, maps: list[Touched], ambient: list[Touched], ground: GroundLight | None) -> dict[str, object]:
         assert self._framebuffer is not None
         values: dict[str, object] = {
-            "shadow_atlas": FIRST_UNIT + 1, "ambient_atlas": FIRST_UNIT + 2, "view_texture": FIRST_UNIT,
+            "view_texture": FIRST_UNIT, "shadow_atlas": FIRST_UNIT + 1, "ambient_atlas": FIRST_UNIT + 2,
+            "silhouette": FIRST_UNIT + 3,
             "atlas_size": self._framebuffer.size, "tile_fragments": self._fragments, "tile_pixels": TILE,
             "atlas_columns": ATLAS_COLUMNS}
         if self._is_yuv:
@@ -177,7 +178,7 @@ class CompositeStage:
                          "map_rect": rects[0], "map_cell": rects[1], "ambient_rect": rects[2], "ambient_cell": rects[3]}
 
     def _draw(self, batches: list[Batch], drawn: Drawn | None) -> None:
-        kind = NO_VIEW if drawn is None else PERSPECTIVE if drawn[0].cube_axis < 0 else CUBE_FACE
+        kind = NO_VIEW if drawn is None else PERSPECTIVE if drawn.view.cube_axis < 0 else CUBE_FACE
         for (maps, ambients), first, count in batches:
             variant = (kind, maps, ambients)
             program, vertex_array = self._variant(variant)
@@ -186,7 +187,7 @@ class CompositeStage:
                 self._prepared.add(variant)
                 set_uniforms(program, self._frame_uniforms)
             if drawn is not None:
-                _bind_view(program, *drawn)
+                _bind_view(program, drawn)
             vertex_array.render(moderngl.POINTS, vertices=count, first=first)
 
     def _read(self, count: int, attachment: int) -> NDArray[np.generic]:
@@ -229,13 +230,16 @@ class CompositeStage:
         release_all(*self._vertex_arrays.values(), *self._programs.values(), self._points)
 
 
-def _bind_view(program: moderngl.Program, view: View, texture: moderngl.Texture, size: tuple[int, int]) -> None:
-    texture.use(FIRST_UNIT)
+def _bind_view(program: moderngl.Program, drawn: Drawn) -> None:
+    view = drawn.view
+    drawn.radiance.use(FIRST_UNIT)
+    drawn.silhouette.use(FIRST_UNIT + 3)
     left, right, bottom, top = view.bounds
     set_uniforms(program, {
         "view_axis": view.rotation[2], "view_from_world": view.rotation.T,
+        "silhouette_from_tangent": drawn.silhouette_from_tangent.T,
         "view_bounds": (left, bottom, 1 / (right - left), 1 / (top - bottom)),
-        "view_scale": (size[0] / texture.width, size[1] / texture.height)})
+        "view_scale": (view.size[0] / drawn.radiance.width, view.size[1] / drawn.radiance.height)})
 
 
 def _make_plan(views: list[View], maps: list[Touched], ambient: list[Touched], masks: list[TileMask],

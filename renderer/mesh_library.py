@@ -7,8 +7,8 @@ from importlib import resources
 from pathlib import Path
 
 from renderer.gltf import GltfError, load
+from renderer.gpu_mesh import GpuMesh
 from renderer.mesh import BUILT_IN, Mesh
-from renderer.objects import GpuMesh
 
 
 class MeshLibrary:

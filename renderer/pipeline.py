@@ -14,6 +14,7 @@ from renderer.composite import CompositeStage, DrawView, GroundLight, Touched
 from renderer.frame import Frame, RadianceFrame, RgbFrame, YuvFrame, check_size
 from renderer.gl import Context, release_all
 from renderer.gltf import GltfError, transform
+from renderer.gpu_mesh import GpuMesh, PlacedMesh
 from renderer.inverse_tone_mapping import WEIGHTS, linear_from_radiance
 from renderer.irradiance import disc_cosine, irradiance
 from renderer.light_detection import MAX_LIGHTS, Light
@@ -21,14 +22,15 @@ from renderer.light_reading import FrameAccess, FrameLight, LightReader
 from renderer.light_refinement import MomentStage
 from renderer.mesh import Surface
 from renderer.mesh_library import MeshLibrary
-from renderer.objects import MIRROR_BELOW, GpuMesh, Illumination, ObjectStage, PlacedMesh
 from renderer.panorama import PanoramaTextures
 from renderer.placement import TILE, TileMask, View, plan_views, touched_tiles
 from renderer.radiance_map import RadianceMapStage, packed_pixels
 from renderer.ring_sampling import RingSource
 from renderer.scene import Lighting, Scene, SceneObject
+from renderer.shading import MIRROR_BELOW, Illumination, ShadingStage, may_mirror
 from renderer.shadows import ShadowMap, ShadowStage, world_points
 from renderer.specular import prefilter_all, quantized_roughness
+from renderer.surfaces import SurfaceStage
 from renderer.threshold_detection import HEIGHT as THRESHOLD_HEIGHT
 from renderer.threshold_detection import WIDTH as THRESHOLD_WIDTH
 from renderer.timings import Timings
@@ -80,10 +82,11 @@ class Pipeline:
         self._size = size
         self._panorama = PanoramaTextures(context, kind, size, packed_pixels(kind, size))
         self._radiance = RadianceMapStage(context, self._panorama)
-        self._objects = ObjectStage(context, self._panorama, self._radiance.texture)
+        self._surfaces = SurfaceStage(context)
+        self._shading = ShadingStage(context, self._panorama, self._surfaces, self._radiance.texture)
         self._shadows = ShadowStage(context, size)
         self._composite = CompositeStage(context, self._panorama)
-        self._meshes = MeshLibrary(lambda mesh: GpuMesh(context, self._objects.surface_programs, mesh), assets, mesh_root)
+        self._meshes = MeshLibrary(lambda mesh: GpuMesh(context, self._surfaces.programs, mesh), assets, mesh_root)
         self._reader = LightReader()
         is_reduced = self._radiance.size[0] < size[0] or self._radiance.size[1] < size[1]
         self._moments = MomentStage(context, self._panorama, self._radiance.size) if is_reduced else None
@@ -122,7 +125,7 @@ class Pipeline:
             placement = self._placement(scene, visible)
         rings = scene.lighting.method("glossy") == "rings36" and bool(placement.objects)
         with timings.stage("upload"):
-            self._panorama.write(frame, only_packed=not (rings or any(item.may_mirror for item in placement.objects.values())))
+            self._panorama.write(frame, only_packed=not (rings or any(map(may_mirror, placement.objects.values()))))
             self._panorama.use()
         if light is None:
             light = self._light(timings, moment, scene.lighting)
@@ -154,14 +157,14 @@ class Pipeline:
             scene, _, placement = self._last_placement
             self._light_scene(scene, light, placement, timings)
             with timings.stage("objects_and_composite"):
-                self._objects.draw_still(placement.views, list(placement.objects.values()))
+                self._shading.draw_still(placement.views, list(placement.objects.values()))
                 self._context.gl.finish()
         return timings
 
     def compile_variants(self) -> None:
         """Have the driver compile every program that usual scenes need, now. After a frame with a light and an object."""
         if self._lit is not None:
-            self._objects.compile_variants(self._lit.placement.views[0])
+            self._shading.compile_variants(self._lit.placement.views[0], list(self._lit.placement.objects.values()))
             self._composite.compile_variants()
 
     def _light(self, timings: Timings, moment: float | None, lighting: Lighting) -> FrameLight:
@@ -220,9 +223,9 @@ class Pipeline:
                 self._lit.lighting == scene.lighting):
             return self._lit
         with timings.stage("glossy"):
-            self._objects.keep(placement.views)
+            self._surfaces.keep(placement.views)
             rings = self._rings.texture if self._rings is not None and scene.lighting.method("glossy") == "rings36" else None
-            self._objects.set_illumination(_illumination(scene, light, list(placement.objects.values()), rings))
+            self._shading.set_illumination(_illumination(scene, light, list(placement.objects.values()), rings))
         with timings.stage("shadows"):
             ground = self._ground_light(scene, light)
             maps, ambient = self._cast(scene, placement.objects, light, ground) if ground else ([], [])
@@ -264,7 +267,7 @@ class Pipeline:
 
     def _drawing(self, placement: Placement) -> DrawView:
         objects = list(placement.objects.values())
-        return lambda view: self._objects.draw(view, objects)
+        return lambda view: self._shading.draw(view, objects)
 
     def _write(self, frame: Frame, tiles: NDArray[np.intp], output: YuvFrame | None) -> Frame:
         if isinstance(frame, YuvFrame):
@@ -284,8 +287,8 @@ class Pipeline:
     def release(self) -> None:
         self._context.rest()
         self._meshes.release()
-        release_all(self._composite, self._shadows, self._objects, self._upper, self._rings, self._moments, self._radiance,
-                    self._panorama)
+        release_all(self._composite, self._shadows, self._shading, self._surfaces, self._upper, self._rings, self._moments,
+                    self._radiance, self._panorama)
 
 
 def _copied(frame: Frame, output: YuvFrame | None) -> YuvFrame:

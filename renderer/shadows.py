@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from renderer.equirectangular import uv_from_direction
 from renderer.gl import GL_CLIP_DISTANCE0, Context, release_all, set_uniforms
+from renderer.gpu_mesh import GpuMesh, PlacedMesh
 from renderer.light_detection import Light
-from renderer.objects import GpuMesh, PlacedMesh
 
 Array = NDArray[np.float64]
 LIGHT, AMBIENT, FINE_LIGHT = 0, 1, 2     # proxies, each with the program it is drawn by

@@ -11,6 +11,8 @@ const float TOUCHED = 1.0 / 1024.0;
 
 #if VIEW
 uniform sampler2D view_texture; // premultiplied radiance of the objects in one perspective view
+uniform sampler2D silhouette;   // their silhouette, finer and turned
+uniform mat3x2 silhouette_from_tangent;
 uniform mat3 view_from_world;   // rows: right, up, forward
 uniform vec4 view_bounds;       // left, bottom, 1 / width, 1 / height on the tangent plane
 uniform vec2 view_scale;        // the part of the texture that the view fills
@@ -91,11 +93,31 @@ vec3 missing_light(vec3 direction) {
     return missing;
 }
 
-vec4 object_radiance(vec3 direction) {
+#if VIEW
+// Share of a pixel that objects cover, by eight places of its finer silhouette; none share a column or a row.
+float coverage(vec2 azimuth_trig, vec2 polar_trig, vec3 seen, vec2 tangent) {
+    vec3 east = view_from_world * vec3(polar_trig.x * azimuth_trig.y, 0.0, polar_trig.x * azimuth_trig.x);
+    vec3 south = view_from_world * vec3(polar_trig.y * azimuth_trig.x, -polar_trig.x, -polar_trig.y * azimuth_trig.y);
+    mat2 step = mat2(silhouette_from_tangent[0], silhouette_from_tangent[1])
+        * mat2((east.xy - tangent * east.z) * 2.0 / float(frame_size.x), (south.xy - tangent * south.z) / float(frame_size.y))
+        * (PI / (16.0 * seen.z));
+    vec2 uv = silhouette_from_tangent * vec3(tangent, 1.0);
+    float sum = textureLod(silhouette, uv + step * vec2(1.0, -3.0), 1.0).r + textureLod(silhouette, uv + step * vec2(-1.0, 3.0), 1.0).r
+        + textureLod(silhouette, uv + step * vec2(5.0, 1.0), 1.0).r + textureLod(silhouette, uv + step * vec2(-3.0, -5.0), 1.0).r
+        + textureLod(silhouette, uv + step * vec2(-5.0, 5.0), 1.0).r + textureLod(silhouette, uv + step * vec2(-7.0, -1.0), 1.0).r
+        + textureLod(silhouette, uv + step * vec2(3.0, 7.0), 1.0).r + textureLod(silhouette, uv + step * vec2(7.0, -7.0), 1.0).r;
+    return 0.125 * sum;
+}
+#endif
+
+vec4 object_radiance(vec2 azimuth_trig, vec2 polar_trig, vec3 direction) {
 #if VIEW
     vec3 d = view_from_world * direction;
-    vec2 uv = (d.xy / max(d.z, 1e-6) - view_bounds.xy) * view_bounds.zw;
-    return inside(uv) && d.z > 0.0 ? textureLod(view_texture, uv * view_scale, 0.0) : vec4(0.0);
+    vec2 tangent = d.xy / max(d.z, 1e-6), uv = (tangent - view_bounds.xy) * view_bounds.zw;
+    vec4 found = inside(uv) && d.z > 0.0 ? textureLod(view_texture, uv * view_scale, 0.0) : vec4(0.0);
+    // a loop, because a software renderer leaves one that no pixel enters
+    for (int once = found.a > TOUCHED ? 1 : 0; once > 0; --once) found *= coverage(azimuth_trig, polar_trig, d, tangent) / found.a;
+    return found;
 #else
     return vec4(0.0);
 #endif
@@ -104,10 +126,11 @@ vec4 object_radiance(vec3 direction) {
 // What the pixel in this direction needs: the objects' radiance and the ground's ratio.
 struct Layers { vec4 object; vec3 ratio; };
 
-Layers layers_at(vec3 direction, vec3 missing_residual) {
+Layers layers_at(vec2 azimuth_trig, vec2 polar_trig, vec3 missing_residual) {
+    vec3 direction = direction_at(azimuth_trig, polar_trig);
     vec3 missing = missing_residual + missing_light(direction);
     vec3 ratio = clamp(1.0 - missing / max(ground_irradiance, vec3(1e-6)), 0.0, 1.0);
-    return Layers(object_radiance(direction), mix(ratio, vec3(1.0), lessThan(ground_irradiance, vec3(1e-6))));
+    return Layers(object_radiance(azimuth_trig, polar_trig, direction), mix(ratio, vec3(1.0), lessThan(ground_irradiance, vec3(1e-6))));
 }
 
 bool differs(Layers layers) { return layers.object.a > TOUCHED || any(lessThan(layers.ratio, vec3(1.0 - TOUCHED))); }
@@ -127,7 +150,7 @@ bool owned(vec3 d) {
 
 #if OUTPUT_YUV
 vec3 composited_yuv(vec2 azimuth_trig, vec2 polar_trig, vec3 missing_residual, vec3 yuv) {
-    Layers layers = layers_at(direction_at(azimuth_trig, polar_trig), missing_residual);
+    Layers layers = layers_at(azimuth_trig, polar_trig, missing_residual);
     vec3 result = composite(layers, radiance_from_signal(rgb_from_yuv * vec4(yuv, 1.0)));
     vec3 new_yuv = yuv_from_rgb * vec4(srgb_from_linear(linear_from_radiance(result)), 1.0);
     return differs(layers) ? new_yuv : yuv;
@@ -156,9 +179,10 @@ void main() {
 void main() {
     ivec2 in_tile = ivec2(gl_FragCoord.xy) - cell_fragment;
     Trig t = trig_at(vec2(in_tile) + 0.5);
-    vec3 direction = direction_at(vec2(t.sine.x, t.cosine.x), vec2(t.sine.y, t.cosine.y));
+    vec2 azimuth_trig = vec2(t.sine.x, t.cosine.x), polar_trig = vec2(t.sine.y, t.cosine.y);
+    vec3 direction = direction_at(azimuth_trig, polar_trig);
     if (!owned(direction)) discard;
-    Layers layers = layers_at(direction, missing_ambient(direction));
+    Layers layers = layers_at(azimuth_trig, polar_trig, missing_ambient(direction));
     vec3 background = pixel_radiance(min(first_pixel + in_tile, frame_size - 1));
     pixel_out = vec4(composite(layers, background), differs(layers) ? 1.0 : 0.0);
 }

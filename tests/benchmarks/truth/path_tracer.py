@@ -75,7 +75,7 @@ def trace(solid: Solid, radiance: Array32, camera_height: float, pixels: NDArray
     done = 0
     while done < samples:
         count = min(at_once, samples - done)
-        total += tracer.launch(pixels, count, seed * 100_003 + done)
+        total += tracer.launch(pixels, count, done, seed)
         done += count
     total /= samples
     return Traced(total[:, :3], total[:, 7:], total[:, 3:6], total[:, 6])
@@ -105,12 +105,18 @@ class _Tracer:
         sample, weight = self.scene.sample_emitter_direction(dr.zeros(mi.SurfaceInteraction3f, 1 << 22), sampler.next_2d(), False)
         return mi.Color3f(np.array(weight * dr.maximum(sample.d.y, 0.0), dtype=np.float64).mean(axis=1))
 
-    def launch(self, pixels: NDArray[np.intp], count: int, seed: int) -> Array:
+    def launch(self, pixels: NDArray[np.intp], count: int, first: int, seed: int) -> Array:
+        """(n, channels) sums over `count` samples of each pixel, of which `first` have been taken."""
         lanes = len(pixels) * count
-        sampler = _sampler(lanes, seed)
+        sampler = _sampler(lanes, seed * 100_003 + first)
         index = dr.arange(mi.UInt32, lanes) // count
         row, column = (dr.gather(mi.UInt32, mi.UInt32(pixels[:, i].astype(np.uint32)), index) for i in (0, 1))
-        jitter = sampler.next_2d()
+        # R2 sequence (Roberts 2018), each pixel's turned by its own amount: coverage converges with the count, not with its root
+        turns = [dr.gather(mi.Float, mi.Float(values.astype(np.float32)), index)
+                 for values in np.random.default_rng(seed).random((2, len(pixels)))]
+        number = mi.Float(dr.arange(mi.UInt32, lanes) % count + first)
+        jitter = mi.Point2f(*(turn + number * ratio - dr.floor(turn + number * ratio)
+                              for turn, ratio in zip(turns, (0.7548776662, 0.5698402910), strict=True)))
         azimuth = ((mi.Float(column) + jitter.x) / self.size[0] * 2 - 1) * dr.pi
         polar = (mi.Float(row) + jitter.y) / self.size[1] * dr.pi
         s_polar, c_polar = dr.sincos(polar)

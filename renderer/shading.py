@@ -1,0 +1,224 @@
+"""Shades the surfaces in a view, once a pixel, by the light of the frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.gl import Context, release_all, set_uniforms
+from renderer.gpu_mesh import PlacedMesh
+from renderer.light_detection import Light
+from renderer.panorama import PanoramaTextures
+from renderer.placement import View
+from renderer.specular import MIN_ROUGHNESS, Array32, dfg_table, quantized_roughness
+from renderer.surfaces import FIRST_UNIT, MAX_SURFACES, SurfaceStage, ViewTarget
+
+Array = NDArray[np.float64]
+LIGHT_SLOTS = (2, 4, 8)   # lights: each number has a program of its own, with a constant loop
+TABLE_WIDTH = 3        # texels a surface
+MAX_LOBES = 16         # roughness values in one frame; as in shade.frag.glsl
+MIRROR_BELOW = MIN_ROUGHNESS / 2
+
+
+@dataclass(frozen=True)
+class Illumination:
+    """What lights the objects in one frame: irradiance by normal and radiance prefiltered for each roughness in use, both of
+    the map without its lights; the lights; the ground's height (None: no ground); the frame with mip levels where the papers'
+    rings stand in for the prefiltered maps."""
+
+    irradiance: Array32
+    lights: tuple[Light, ...]
+    lobes: dict[float, Array32]
+    ground_y: float | None
+    rings: moderngl.Texture | None = None
+
+
+class Shading(NamedTuple):
+    """What a view's pixels need; each combination in use is a program of its own."""
+
+    textured: bool
+    lights: int
+    lobes: bool
+    mirrors: bool
+    rings: bool = False
+
+    @property
+    def shows_frame(self) -> bool:
+        """Whether every frame needs shading of its own, even if neither light nor surfaces have changed."""
+        return self.mirrors or self.rings
+
+
+@dataclass
+class _Shaded:
+    """What the picture in a view's target was made from."""
+
+    table: moderngl.Texture
+    lobe_cells: dict[float, tuple[float, float, float]] | None = None
+    lit_by: Illumination | None = None
+
+
+class Drawn(NamedTuple):
+    """A view's picture: premultiplied radiance, and its silhouette with (2, 3) from the view's tangent plane to it."""
+
+    view: View
+    radiance: moderngl.Texture
+    silhouette: moderngl.Texture
+    silhouette_from_tangent: Array
+
+
+def may_mirror(placed: PlacedMesh) -> bool:
+    """Whether a part is smooth enough to show the frame itself; a textured one may be."""
+    return placed.is_textured or any(surface.roughness < MIRROR_BELOW for surface in placed.surfaces)
+
+
+class ShadingStage:
+    """Owns the shading programs and their look-up textures."""
+
+    def __init__(self, context: Context, panorama: PanoramaTextures, surfaces: SurfaceStage,
+                 radiance_texture: moderngl.Texture) -> None:
+        self._context = context
+        self._panorama = panorama
+        self._surfaces = surfaces
+        self._radiance_texture = radiance_texture
+        self._shading: dict[Shading, tuple[moderngl.Program, moderngl.VertexArray]] = {}
+        table = dfg_table()
+        self._dfg = context.texture((table.shape[1], table.shape[0]), 4, "f4")
+        self._dfg.write(table.tobytes())
+        self._shaded: dict[ViewTarget, _Shaded] = {}
+        self._lobe_atlas = context.texture((1, 1), 4, "f4")
+        self._uniforms: dict[str, object] = {}
+        self._illumination: Illumination | None = None
+        self._slots = LIGHT_SLOTS[0]
+        self._lobe_cells: dict[float, tuple[float, float, float]] = {}
+
+    def _shading_program(self, kind: Shading) -> tuple[moderngl.Program, moderngl.VertexArray]:
+        if kind not in self._shading:
+            program = self._context.program("full_screen.vert.glsl", "shade.frag.glsl", {
+                **self._panorama.defines, "TEXTURED": int(kind.textured), "LIGHTS": kind.lights,
+                "HAS_LOBES": int(kind.lobes), "HAS_MIRRORS": int(kind.mirrors), "HAS_RINGS": int(kind.rings)})
+            self._shading[kind] = (program, self._context.gl.vertex_array(program, []))
+        return self._shading[kind]
+
+    def set_illumination(self, illumination: Illumination) -> None:
+        """Take over one frame's light."""
+        self._illumination = illumination
+        lights = illumination.lights[:LIGHT_SLOTS[-1]]
+        self._slots = next(slots for slots in LIGHT_SLOTS if slots >= len(lights))
+        directions, irradiances, radii = np.zeros((self._slots, 3)), np.zeros((self._slots, 3)), np.zeros(self._slots)
+        for index, light in enumerate(lights):
+            directions[index], irradiances[index], radii[index] = light.direction, light.irradiance, light.angular_radius
+        self._uniforms = {
+            **self._set_lobes(illumination.irradiance, illumination.lobes),
+            "light_direction": directions, "light_irradiance": irradiances, "light_radius": radii,
+            "mirror_below": MIRROR_BELOW,
+            "ground_y": illumination.ground_y or 0.0,
+            "has_ground": int(illumination.ground_y is not None),
+        }
+        self._surfaces.set_ground(illumination.ground_y)
+
+    def _set_lobes(self, irradiance: Array32, lobes: dict[float, Array32]) -> dict[str, object]:
+        """Stack the filtered maps in one texture, each with a border of what lies across its seam and its poles."""
+        maps = [irradiance, *(lobe for _, lobe in sorted(lobes.items())[:MAX_LOBES])]
+        width = max(one.shape[1] for one in maps) + 2
+        height = sum(one.shape[0] + 2 for one in maps)
+        atlas = np.zeros((height, width, 4), dtype="f4")
+        cells, top = [], 0
+        for one in maps:
+            rows, columns = one.shape[:2]
+            cell = atlas[top:top + rows + 2, :columns + 2, :3]
+            cell[1:-1, 1:-1] = one
+            cell[0, 1:-1], cell[-1, 1:-1] = np.roll(one[0], columns // 2, axis=0), np.roll(one[-1], columns // 2, axis=0)
+            cell[:, 0], cell[:, -1] = cell[:, -2], cell[:, 1]
+            cells.append((columns / width, (top + 1) / height, rows / height))
+            top += rows + 2
+        found = dict(zip(sorted(lobes), cells[1:], strict=False))
+        self._lobe_cells = self._lobe_cells if found == self._lobe_cells else found
+        table = np.zeros((MAX_LOBES, 4))
+        for index, (roughness, cell_uv) in enumerate(self._lobe_cells.items()):
+            table[index] = (roughness, *cell_uv)
+        if self._lobe_atlas.size != (width, height):
+            self._lobe_atlas.release()
+            self._lobe_atlas = self._context.texture((width, height), 4, "f4")
+        self._lobe_atlas.write(atlas)
+        return {"lobe_count": len(self._lobe_cells), "lobe": table, "lobe_border": 1 / width, "irradiance_cell": cells[0]}
+
+    def draw(self, view: View, objects: list[PlacedMesh]) -> Drawn:
+        """Draw and shade the view's members."""
+        target, shaded, kind = self._prepared(view, objects)
+        # what no mirror shows is the same for as long as light and surfaces are
+        if kind.shows_frame or shaded.lit_by is not self._illumination:
+            self._shade(view, target, kind)
+            shaded.lit_by = self._illumination
+        assert target.silhouette.texture is not None
+        return Drawn(view, target.texture, target.silhouette.texture, target.silhouette.uv_from_tangent())
+
+    def draw_still(self, views: list[View], objects: list[PlacedMesh]) -> None:
+        """Draw, ahead of the next frame, the views that do not depend on it: those without mirrors."""
+        for view in views:
+            if not self._prepared(view, objects)[2].shows_frame:
+                self.draw(view, objects)
+
+    def _prepared(self, view: View, objects: list[PlacedMesh]) -> tuple[ViewTarget, _Shaded, Shading]:
+        """The view's target with its surfaces drawn, and how they are to be shaded."""
+        members = [objects[index] for index in view.members]
+        target, is_new = self._surfaces.drawn(view, members)
+        if target not in self._shaded:
+            self._shaded[target] = _Shaded(self._context.texture((TABLE_WIDTH, MAX_SURFACES), 4, "f4", linear=False))
+        shaded = self._shaded[target]
+        if is_new or shaded.lobe_cells is not self._lobe_cells:
+            self._write_table(target, shaded.table)
+            shaded.lobe_cells, shaded.lit_by = self._lobe_cells, None
+        textured = any(item.is_textured for item in members)
+        roughnesses = [surface.roughness for surface in target.surfaces]
+        glossy = textured or max(roughnesses) >= MIRROR_BELOW
+        return target, shaded, Shading(
+            textured, self._slots, lobes=glossy and bool(self._lobe_cells),
+            mirrors=textured or min(roughnesses) < MIRROR_BELOW,
+            rings=glossy and self._illumination is not None and self._illumination.rings is not None)
+
+    def _write_table(self, target: ViewTarget, table: moderngl.Texture) -> None:
+        """A row for each surface, from row 1."""
+        rows = np.zeros((len(target.surfaces) + 1, TABLE_WIDTH, 4), dtype="f4")
+        for row, surface in zip(rows[1:], target.surfaces, strict=True):
+            row[0], row[1] = (*surface.base_color[:3], surface.metallic), (*surface.emissive, surface.roughness)
+            row[2, :3] = self._lobe_cells.get(quantized_roughness(surface.roughness), (0.0, 0.0, 0.0))
+        table.write(rows, viewport=(0, 0, TABLE_WIDTH, len(rows)))
+
+    def compile_variants(self, view: View, objects: list[PlacedMesh]) -> None:
+        """Shade a view that has been drawn, once with each program that untextured objects may need."""
+        illumination = self._illumination
+        if illumination is None:
+            return
+        target, shaded, _ = self._prepared(view, objects)
+        for slots in LIGHT_SLOTS:
+            self.set_illumination(replace(illumination, lights=(Light(np.array([0.0, 1.0, 0.0]), np.ones(3), 0.01),) * slots))
+            for lobes, mirrors in ((True, False), (False, True), (True, True)):
+                self._shade(view, target, Shading(False, slots, lobes, mirrors))
+        self.set_illumination(illumination)
+        shaded.lit_by = None
+
+    def _shade(self, view: View, target: ViewTarget, kind: Shading) -> None:
+        program, triangle = self._shading_program(kind)
+        target.shaded.use()
+        target.shaded.viewport = (0, 0, *view.size)
+        self._panorama.bind(program)
+        textures = {"radiance_map": self._radiance_texture, "dfg_table": self._dfg, "lobe_atlas": self._lobe_atlas,
+                    "surfaces": self._shaded[target].table,
+                    **({"ring_map": self._illumination.rings} if kind.rings and self._illumination else {}),
+                    **dict(zip(("geometry", "color_metallic", "emissive_roughness"), target.samples, strict=False))}
+        for unit, (name, texture) in enumerate(textures.items(), start=FIRST_UNIT):
+            texture.use(unit)
+            set_uniforms(program, {name: unit})
+        left, right, bottom, top = view.bounds
+        set_uniforms(program, {**self._uniforms, "world_from_view": view.rotation,  # GL reads rows as columns: the transpose
+                               "view_bounds": (left, bottom, right - left, top - bottom), "view_size": view.size})
+        triangle.render(moderngl.TRIANGLES, 3)
+
+    def release(self) -> None:
+        release_all(*(shaded.table for shaded in self._shaded.values()), self._lobe_atlas, self._dfg)
+        for program, triangle in self._shading.values():
+            release_all(triangle, program)

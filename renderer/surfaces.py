@@ -1,0 +1,186 @@
+"""Draws what the objects' surfaces are into perspective views, 2 x 2 samples a pixel, and their silhouettes.
+
+Shading while rasterising costs a software renderer one run of the shader for 4 x 4 pixels of every triangle, and its
+multisampling more than drawing at twice the size. Surfaces stay as drawn for as long as nothing moves.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.gl import GL_CLIP_DISTANCE0, Context, release_all, set_uniforms
+from renderer.gpu_mesh import PlacedMesh
+from renderer.mesh import Surface
+from renderer.placement import View
+from renderer.silhouettes import SilhouetteView, silhouette_view
+
+SAMPLES = 2               # a side of a pixel
+SILHOUETTE_STEP = 256
+SIZE_STEP = 64            # view targets come in a few sizes, so that moving objects do not allocate
+NO_POWER_OF_TWO = 8       # added to them: llvmpipe compiles other programs for powers of two, in mid-stream when one first comes
+FIRST_UNIT = 8            # texture units after the panorama's
+BELOW_NOTHING = -1e9
+MAX_SURFACES = 512
+TEXTURES = ("base_color_texture", "metallic_roughness_texture", "emissive_texture")
+NO_TEXTURES: list[moderngl.Texture | None] = [None] * len(TEXTURES)
+
+
+class Silhouette:
+    """What a view's objects cover, in a texture that only grows."""
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self.texture: moderngl.Texture | None = None
+        self.framebuffer: moderngl.Framebuffer | None = None
+        self.projection: SilhouetteView | None = None
+
+    def reserve(self, size: tuple[int, int]) -> moderngl.Framebuffer:
+        """A framebuffer of at least this size."""
+        kept = (0, 0) if self.texture is None else self.texture.size
+        if self.framebuffer is None or kept[0] < size[0] or kept[1] < size[1]:
+            self.release()
+            width, height = (-(-max(pair) // SILHOUETTE_STEP) * SILHOUETTE_STEP + NO_POWER_OF_TWO
+                             for pair in zip(size, kept, strict=True))
+            self.texture = self._context.texture((width, height), 1, "f1")
+            self.texture.build_mipmaps(0, 1)
+            self.texture.filter = (moderngl.LINEAR_MIPMAP_NEAREST, moderngl.LINEAR)
+            self.framebuffer = self._context.gl.framebuffer([self.texture])
+        return self.framebuffer
+
+    def uv_from_tangent(self) -> NDArray[np.float64]:
+        """(2, 3) from the view's tangent plane to the texture."""
+        assert self.projection is not None
+        assert self.texture is not None
+        used = np.array(self.projection.size) / self.texture.size
+        return np.asarray(self.projection.uv_from_tangent * used[:, None])
+
+    def release(self) -> None:
+        self._context.rest()
+        release_all(self.framebuffer, self.texture)
+
+
+class ViewTarget:
+    """Sample buffers of one size, the silhouette, and the shaded result. Textured views have the surface in two more buffers."""
+
+    def __init__(self, context: Context, size: tuple[int, int], textured: bool) -> None:
+        gl = context.gl
+        sampled = (size[0] * SAMPLES, size[1] * SAMPLES)
+        self.samples = [context.texture(sampled, 4, dtype, linear=False) for dtype in (["f4", "f1", "f2"] if textured else ["f4"])]
+        self._depth = gl.depth_renderbuffer(sampled)
+        self.framebuffer = gl.framebuffer(self.samples, self._depth)
+        self.silhouette = Silhouette(context)
+        self.texture = context.texture(size, 4, "f2")
+        self.shaded = gl.framebuffer([self.texture])
+        self.view: View | None = None       # whose surfaces are in the samples
+        self.surfaces: list[Surface] = []   # their table, from 1 in the samples
+
+    def release(self) -> None:
+        release_all(self.framebuffer, self.shaded, self.texture, self.silhouette, *self.samples, self._depth)
+
+
+class SurfaceStage:
+    """Owns the programs that draw meshes and the view targets."""
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self._targets: dict[tuple[int, int, bool], list[ViewTarget]] = {}
+        self.programs = {
+            f"{what}{' textured' if textured else ''}":
+                context.program(f"{vertex}.vert.glsl", f"{what}.frag.glsl", {"TEXTURED": int(textured)})
+            for what, vertex in (("surface", "surface"), ("mask", "mask")) for textured in (False, True)}
+
+    def set_ground(self, ground_y: float | None) -> None:
+        """Hide what is below the ground from now on; None: there is no ground."""
+        below = BELOW_NOTHING if ground_y is None else ground_y - 1e-4
+        for program in self.programs.values():
+            set_uniforms(program, {"clip_below_y": below})
+
+    def drawn(self, view: View, members: list[PlacedMesh]) -> tuple[ViewTarget, bool]:
+        """The view's target, its surfaces in it, and whether they had to be drawn anew."""
+        textured = any(item.is_textured for item in members)
+        target = self._target(view, textured)
+        if target.view is view:
+            return target, False
+        suffix = " textured" if textured else ""
+        target.surfaces = [surface for item in members for _, surface in item.parts()][:MAX_SURFACES - 1]
+        sampled = (view.size[0] * SAMPLES, view.size[1] * SAMPLES)
+        self._draw(target.framebuffer, sampled, f"surface{suffix}", view.clip_from_world(), members)
+        outline = target.silhouette.projection = silhouette_view(view)
+        self._draw(target.silhouette.reserve(outline.size), outline.size, f"mask{suffix}", outline.clip_from_world, members)
+        assert target.silhouette.texture is not None
+        target.silhouette.texture.build_mipmaps(0, 1)
+        target.view = view
+        return target, True
+
+    def keep(self, views: list[View]) -> None:
+        """Surfaces of these views stay as drawn until the views are others; the targets of all other views are free."""
+        kept = {id(view) for view in views}
+        for target in itertools.chain(*self._targets.values()):
+            if id(target.view) not in kept:
+                target.view = None
+
+    def _target(self, view: View, textured: bool) -> ViewTarget:
+        width, height = (-(-side // SIZE_STEP) * SIZE_STEP + NO_POWER_OF_TWO for side in view.size)
+        targets = self._targets.setdefault((width, height, textured), [])
+        for target in targets:
+            if target.view is view:
+                return target
+        free = next((target for target in targets if target.view is None), None)
+        if free is None:
+            free = ViewTarget(self._context, (width, height), textured)
+            targets.append(free)
+        return free
+
+    def _draw(self, framebuffer: moderngl.Framebuffer, size: tuple[int, int], name: str, clip_from_world: NDArray[np.float64],
+              members: list[PlacedMesh]) -> None:
+        gl, program = self._context.gl, self.programs[name]
+        framebuffer.use()
+        framebuffer.viewport = (0, 0, *size)
+        framebuffer.clear(0.0, 0.0, 0.0, 0.0, viewport=size)
+        gl.enable_only(moderngl.DEPTH_TEST if name.startswith("surface") else moderngl.NOTHING)
+        gl.enable_direct(GL_CLIP_DISTANCE0)
+        set_uniforms(program, {"clip_from_world": clip_from_world.T})
+        index = 1
+        for item in members:
+            index = self._draw_object(item, name, program, index)
+        gl.front_face = "ccw"
+        gl.disable_direct(GL_CLIP_DISTANCE0)
+        gl.enable_only(moderngl.NOTHING)
+
+    def _draw_object(self, placed: PlacedMesh, name: str, program: moderngl.Program, index: int) -> int:
+        """Returns the index that follows those of its surfaces."""
+        gl = self._context.gl
+        gl.front_face = "cw" if placed.is_mirrored else "ccw"
+        set_uniforms(program, placed.matrices())
+        for part, surface in placed.parts():
+            if surface.double_sided:
+                gl.disable(moderngl.CULL_FACE)
+            else:
+                gl.enable(moderngl.CULL_FACE)
+            set_uniforms(program, {"surface_index": float(min(index, MAX_SURFACES - 1))})
+            if name.endswith("textured"):
+                _bind_textures(program, surface, NO_TEXTURES if placed.surface else part.textures)
+            part.vertex_arrays[name].render()
+            index += 1
+        return index
+
+    def release(self) -> None:
+        release_all(*itertools.chain(*self._targets.values()), *self.programs.values())
+
+
+def _bind_textures(program: moderngl.Program, surface: Surface, textures: list[moderngl.Texture | None]) -> None:
+    bits = 0
+    for bit, (name, texture) in enumerate(zip(TEXTURES, textures, strict=True)):
+        set_uniforms(program, {name: FIRST_UNIT + bit})
+        if texture is not None:
+            texture.use(FIRST_UNIT + bit)
+            bits |= 1 << bit
+    set_uniforms(program, {
+        "has_textures": bits, "base_color": surface.base_color, "metallic": surface.metallic,
+        "roughness": surface.roughness, "emissive": surface.emissive,
+        "alpha_cutoff": -1.0 if surface.alpha_cutoff is None else surface.alpha_cutoff})
+
