@@ -2,7 +2,8 @@
 
 Every pixel of the equirectangular frame sends its own primary rays from the origin. The floor's albedo is what makes the empty
 floor look like the panorama under the map's own irradiance; where that would need more than `MAX_ALBEDO`, the rest is emitted.
-Surfaces are glTF 2.0 metallic-roughness (specification, appendix B) with the energy of multiple bounces put back (Turquin 2019).
+Surfaces are glTF 2.0 metallic-roughness (specification, appendix B) with the energy of multiple bounces put back (Turquin 2019); the
+diffuse base gets what the directional albedo of the specular coat leaves of the light, so that a white object is a white furnace.
 After a rough bounce, smooth surfaces are traced as `BLURRED_ROUGHNESS` (path regularization, Kaplanyan & Dachsbacher 2013): the
 caustics of a sun would not converge otherwise.
 """
@@ -96,8 +97,7 @@ class _Tracer:
         if solid.texture is not None:
             self.texture = mi.Texture2f(mi.TensorXf(solid.texture), wrap_mode=dr.WrapMode.Repeat)
             self.textured = mi.Float(np.array(solid.textured, dtype=np.float32))
-        table = _single_scattering_energy()
-        self.energy = mi.Texture2f(mi.TensorXf(table[..., None].astype(np.float32)), wrap_mode=dr.WrapMode.Clamp)
+        self.energy = mi.Texture2f(mi.TensorXf(_single_scattering().astype(np.float32)), wrap_mode=dr.WrapMode.Clamp)
         self.open_irradiance = self._open_irradiance()
 
     def _open_irradiance(self) -> Any:
@@ -236,15 +236,15 @@ class _Tracer:
         v, n_l = dr.maximum(view.z, 1e-4), dr.maximum(light.z, 0.0)
         away = 1 - dr.clip(dr.dot(view, half), 0, 1)
         f90 = away * away * away * away * away
-        energy = self.energy.eval(mi.Point2f(v, roughness))[0]
+        energy, grazing_energy = self.energy.eval(mi.Point2f(v, roughness))
         a2 = alpha * alpha
         d = a2 / (dr.pi * dr.square(half.z * half.z * (a2 - 1) + 1))
         visibility = 0.5 / dr.maximum(n_l * dr.sqrt(v * v * (1 - a2) + a2) + v * dr.sqrt(n_l * n_l * (1 - a2) + a2), 1e-9)
         lobe = d * visibility * shininess
         back = 1 / dr.maximum(energy, 1e-3) - 1
         metal = (color + (1 - color) * f90) * (1 + color * back) * lobe
-        dielectric_f = (0.04 + 0.96 * f90) * shininess
-        dielectric = (1 - dielectric_f) * color / dr.pi + dielectric_f * (1 + 0.04 * back) * lobe
+        coat = (0.04 * energy + 0.96 * grazing_energy) * (1 + 0.04 * back) * shininess
+        dielectric = (1 - coat) * color / dr.pi + (0.04 + 0.96 * f90) * (1 + 0.04 * back) * lobe
         value = metal * metallic + dielectric * (1 - metallic)
         return dr.select((light.z > 0) & (view.z > 0), value * n_l, 0.0)
 
@@ -308,11 +308,12 @@ def interpolated(radiance: Array32, rows: Array, columns: Array) -> Array32:
 
 
 @cache
-def _single_scattering_energy(size: int = 48, samples: int = 4096) -> Array:
-    """(roughness, n.v) share of light that comes back in one bounce off GGX without Fresnel, sampled by visible normals."""
+def _single_scattering(size: int = 48, samples: int = 4096) -> Array:
+    """(roughness, n.v, 2) share of light that comes back in one bounce off GGX without Fresnel, and weighed with Schlick's
+    (1 - v.h)^5; sampled by visible normals."""
     index = np.arange(samples)
     u1, u2 = (index + 0.5) / samples, (index * 0.6180339887498949) % 1
-    table = np.empty((size, size))
+    table = np.empty((size, size, 2))
     for i, roughness in enumerate((np.arange(size) + 0.5) / size):
         alpha = max(roughness**2, MIN_ALPHA)
         for j, v in enumerate((np.arange(size) + 0.5) / size):
@@ -329,5 +330,5 @@ def _single_scattering_energy(size: int = 48, samples: int = 4096) -> Array:
             # G2 / G1(view) of height-correlated Smith
             root_v, root_l = np.sqrt(a2 + (1 - a2) * v * v), np.sqrt(a2 + (1 - a2) * light_z**2)
             ratio = light_z * (v + root_v) / np.maximum(v * root_l + light_z * root_v, 1e-12)
-            table[i, j] = ratio.mean()
+            table[i, j] = ratio.mean(), (ratio * (1 - half @ view) ** 5).mean()
     return table
