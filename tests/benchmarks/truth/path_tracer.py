@@ -2,8 +2,8 @@
 
 Every pixel of the equirectangular frame sends its own primary rays from the origin. The floor's albedo is what makes the empty
 floor look like the panorama under the map's own irradiance; where that would need more than `MAX_ALBEDO`, the rest is emitted.
-Surfaces are glTF 2.0 metallic-roughness (specification, appendix B) with the energy of multiple bounces put back (Turquin 2019); the
-diffuse base gets what the directional albedo of the specular coat leaves of the light, so that a white object is a white furnace.
+Surfaces are glTF 2.0 metallic-roughness (specification, appendix B) with the energy of multiple bounces put back (Turquin 2019),
+and the diffuse base gets what the specular coat's directional albedo leaves, so that a white object is a white furnace.
 After a rough bounce, smooth surfaces are traced as `BLURRED_ROUGHNESS` (path regularization, Kaplanyan & Dachsbacher 2013): the
 caustics of a sun would not converge otherwise.
 """
