@@ -20,6 +20,7 @@ from renderer.irradiance import disc_cosine, irradiance
 from renderer.light_detection import MAX_LIGHTS, Light
 from renderer.light_reading import FrameAccess, FrameLight, LightReader
 from renderer.light_refinement import MomentStage
+from renderer.light_visibility import Receiver
 from renderer.mesh import Surface
 from renderer.mesh_library import MeshLibrary
 from renderer.panorama import PanoramaTextures
@@ -31,6 +32,7 @@ from renderer.shading import MIRROR_BELOW, Illumination, ShadingStage, may_mirro
 from renderer.shadows import ShadowMap, ShadowStage, world_points
 from renderer.specular import prefilter_all, quantized_roughness
 from renderer.surfaces import SurfaceStage
+from renderer.surroundings import Surroundings
 from renderer.threshold_detection import HEIGHT as THRESHOLD_HEIGHT
 from renderer.threshold_detection import WIDTH as THRESHOLD_WIDTH
 from renderer.timings import Timings
@@ -88,6 +90,7 @@ class Pipeline:
         self._composite = CompositeStage(context, self._panorama)
         self._meshes = MeshLibrary(lambda mesh: GpuMesh(context, self._surfaces.programs, mesh), assets, mesh_root)
         self._reader = LightReader()
+        self._surroundings = Surroundings()
         is_reduced = self._radiance.size[0] < size[0] or self._radiance.size[1] < size[1]
         self._moments = MomentStage(context, self._panorama, self._radiance.size) if is_reduced else None
         self._access = FrameAccess(self._upper_half, None if self._moments is None else self._moments.run)
@@ -225,12 +228,23 @@ class Pipeline:
         with timings.stage("glossy"):
             self._surfaces.keep(placement.views)
             rings = self._rings.texture if self._rings is not None and scene.lighting.method("glossy") == "rings36" else None
-            self._shading.set_illumination(_illumination(scene, light, list(placement.objects.values()), rings))
+            self._shading.set_illumination(self._illumination(scene, light, placement, rings))
         with timings.stage("shadows"):
             ground = self._ground_light(scene, light)
             maps, ambient = self._cast(scene, placement.objects, light, ground) if ground else ([], [])
         self._lit = _Lit(light, scene.lighting, placement, ground, maps, ambient)
         return self._lit
+
+    def _illumination(self, scene: Scene, light: FrameLight, placement: Placement, rings: moderngl.Texture | None) -> Illumination:
+        surfaces = [surface for item in placement.objects.values() for surface in item.surfaces]
+        wanted = {quantized_roughness(s.roughness) for s in surfaces if s.roughness >= MIRROR_BELOW and rings is None}
+        lights = tuple(item for item in _rendered(light) if not item.is_wide)
+        ground_y = -scene.camera_height if scene.ground.catcher else None
+        near = self._surroundings.fits(placement.objects, ground_y, light.soft, light.irradiance, lights)
+        casting = {item.id for item in scene.objects if item.casts_shadow}
+        receivers = tuple(Receiver(placement.objects[name], body.solid, body.is_convex, name in casting)
+                          for name, body in self._surroundings.bodies(placement.objects).items())
+        return Illumination(light.irradiance, lights, prefilter_all(light.soft, wanted), ground_y, rings, near, receivers)
 
     def _ground_light(self, scene: Scene, light: FrameLight) -> GroundLight | None:
         if not scene.ground.catcher:
@@ -298,14 +312,6 @@ def _copied(frame: Frame, output: YuvFrame | None) -> YuvFrame:
     for target, source in ((output.y, frame.y), (output.u, frame.u), (output.v, frame.v)):
         np.copyto(target, source)
     return output
-
-
-def _illumination(scene: Scene, light: FrameLight, objects: list[PlacedMesh], rings: moderngl.Texture | None) -> Illumination:
-    surfaces = [surface for item in objects for surface in item.surfaces]
-    wanted = {quantized_roughness(s.roughness) for s in surfaces if s.roughness >= MIRROR_BELOW and rings is None}
-    lights = tuple(item for item in _rendered(light) if not item.is_wide)
-    return Illumination(light.irradiance, lights, prefilter_all(light.soft, wanted),
-                        -scene.camera_height if scene.ground.catcher else None, rings)
 
 
 def _rendered(light: FrameLight) -> tuple[Light, ...]:

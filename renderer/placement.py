@@ -131,7 +131,8 @@ def _mean_direction(points: Array) -> Array:
     return np.asarray(mean / max(float(np.linalg.norm(mean)), 1e-12))
 
 
-def _looking_along(forward: Array) -> Array:
+def looking_along(forward: Array) -> Array:
+    """(3, 3) rows right, up, forward."""
     helper = np.array([0.0, 1.0, 0.0]) if abs(forward[1]) < 0.9 else np.array([0.0, 0.0, 1.0])
     right = np.cross(forward, helper)
     right /= np.linalg.norm(right)
@@ -147,7 +148,7 @@ def _size(bounds: tuple[float, float, float, float], frame_size: tuple[int, int]
 
 def _single_view(points: Array, axis: Array, frame_size: tuple[int, int], depth_range: tuple[float, float],
                  members: tuple[int, ...], mask: TileMask) -> View:
-    rotation = _looking_along(axis)
+    rotation = looking_along(axis)
     local = points @ rotation.T
     tangent = local[:, :2] / local[:, 2:3]
     margin = MARGIN_PIXELS * 2 * np.pi / frame_size[0]
@@ -162,4 +163,4 @@ def _cube_face(face: int, frame_size: tuple[int, int], depth_range: tuple[float,
     forward = np.zeros(3)
     forward[face // 2] = -1.0 if face % 2 else 1.0
     bounds = (-1.01, 1.01, -1.01, 1.01)
-    return View(_looking_along(forward), bounds, _size(bounds, frame_size), depth_range, members, mask, face)
+    return View(looking_along(forward), bounds, _size(bounds, frame_size), depth_range, members, mask, face)

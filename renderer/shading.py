@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from renderer.gl import Context, release_all, set_uniforms
 from renderer.gpu_mesh import PlacedMesh
 from renderer.light_detection import Light
+from renderer.light_visibility import LightVisibilityStage, Receiver
+from renderer.near_field import FUNCTIONS, Fit
 from renderer.panorama import PanoramaTextures
 from renderer.placement import View
 from renderer.specular import MIN_ROUGHNESS, Array32, dfg_table, quantized_roughness
@@ -19,7 +21,7 @@ from renderer.surfaces import FIRST_UNIT, MAX_SURFACES, SurfaceStage, ViewTarget
 
 Array = NDArray[np.float64]
 LIGHT_SLOTS = (2, 4, 8)   # lights: each number has a program of its own, with a constant loop
-TABLE_WIDTH = 3        # texels a surface
+TABLE_WIDTH = 13       # texels a surface: three, and the near field's; as in near_field.glsl
 MAX_LOBES = 16         # roughness values in one frame; as in shade.frag.glsl
 MIRROR_BELOW = MIN_ROUGHNESS / 2
 
@@ -35,6 +37,8 @@ class Illumination:
     lobes: dict[float, Array32]
     ground_y: float | None
     rings: moderngl.Texture | None = None
+    near: tuple[Fit, ...] = ()      # of each object, by its index
+    receivers: tuple[Receiver, ...] = ()    # the same
 
 
 class Shading(NamedTuple):
@@ -57,7 +61,7 @@ class _Shaded:
     """What the picture in a view's target was made from."""
 
     table: moderngl.Texture
-    lobe_cells: dict[float, tuple[float, float, float]] | None = None
+    table_of: Illumination | None = None
     lit_by: Illumination | None = None
 
 
@@ -88,6 +92,7 @@ class ShadingStage:
         table = dfg_table()
         self._dfg = context.texture((table.shape[1], table.shape[0]), 4, "f4")
         self._dfg.write(table.tobytes())
+        self._visibility = LightVisibilityStage(context, surfaces)
         self._shaded: dict[ViewTarget, _Shaded] = {}
         self._lobe_atlas = context.texture((1, 1), 4, "f4")
         self._uniforms: dict[str, object] = {}
@@ -135,8 +140,7 @@ class ShadingStage:
             cell[:, 0], cell[:, -1] = cell[:, -2], cell[:, 1]
             cells.append((columns / width, (top + 1) / height, rows / height))
             top += rows + 2
-        found = dict(zip(sorted(lobes), cells[1:], strict=False))
-        self._lobe_cells = self._lobe_cells if found == self._lobe_cells else found
+        self._lobe_cells = dict(zip(sorted(lobes), cells[1:], strict=False))
         table = np.zeros((MAX_LOBES, 4))
         for index, (roughness, cell_uv) in enumerate(self._lobe_cells.items()):
             table[index] = (roughness, *cell_uv)
@@ -169,11 +173,11 @@ class ShadingStage:
         if target not in self._shaded:
             self._shaded[target] = _Shaded(self._context.texture((TABLE_WIDTH, MAX_SURFACES), 4, "f4", linear=False))
         shaded = self._shaded[target]
-        if is_new or shaded.lobe_cells is not self._lobe_cells:
+        if is_new or shaded.table_of is not self._illumination:
             self._write_table(target, shaded.table)
-            shaded.lobe_cells, shaded.lit_by = self._lobe_cells, None
+            shaded.table_of, shaded.lit_by = self._illumination, None
         textured = any(item.is_textured for item in members)
-        roughnesses = [surface.roughness for surface in target.surfaces]
+        roughnesses = [surface.roughness for surface, _ in target.surfaces]
         glossy = textured or max(roughnesses) >= MIRROR_BELOW
         return target, shaded, Shading(
             textured, self._slots, lobes=glossy and bool(self._lobe_cells),
@@ -183,9 +187,14 @@ class ShadingStage:
     def _write_table(self, target: ViewTarget, table: moderngl.Texture) -> None:
         """A row for each surface, from row 1."""
         rows = np.zeros((len(target.surfaces) + 1, TABLE_WIDTH, 4), dtype="f4")
-        for row, surface in zip(rows[1:], target.surfaces, strict=True):
+        near = () if self._illumination is None else self._illumination.near
+        for row, (surface, index) in zip(rows[1:], target.surfaces, strict=True):
             row[0], row[1] = (*surface.base_color[:3], surface.metallic), (*surface.emissive, surface.roughness)
             row[2, :3] = self._lobe_cells.get(quantized_roughness(surface.roughness), (0.0, 0.0, 0.0))
+            row[4, 0] = row[7, 0] = row[10, 0] = 1.0        # what is near makes no difference
+            if index < len(near):
+                row[3] = (*near[index].centre, 1 / near[index].size)
+                row[4:].reshape(3, 12)[:, :FUNCTIONS] = near[index].coefficients.T
         table.write(rows, viewport=(0, 0, TABLE_WIDTH, len(rows)))
 
     def compile_variants(self, view: View, objects: list[PlacedMesh]) -> None:
@@ -203,22 +212,26 @@ class ShadingStage:
 
     def _shade(self, view: View, target: ViewTarget, kind: Shading) -> None:
         program, triangle = self._shading_program(kind)
+        visibility = self._visibility.all_visible
+        if self._illumination is not None and self._illumination.receivers:
+            visibility = self._visibility.texture(target, view, self._illumination.receivers, self._illumination.lights)
         target.shaded.use()
         target.shaded.viewport = (0, 0, *view.size)
         self._panorama.bind(program)
         textures = {"radiance_map": self._radiance_texture, "dfg_table": self._dfg, "lobe_atlas": self._lobe_atlas,
-                    "surfaces": self._shaded[target].table,
+                    "surfaces": self._shaded[target].table, "light_visibility": visibility,
                     **({"ring_map": self._illumination.rings} if kind.rings and self._illumination else {}),
                     **dict(zip(("geometry", "color_metallic", "emissive_roughness"), target.samples, strict=False))}
         for unit, (name, texture) in enumerate(textures.items(), start=FIRST_UNIT):
             texture.use(unit)
             set_uniforms(program, {name: unit})
         left, right, bottom, top = view.bounds
+        set_uniforms(program, {"has_light_visibility": int(visibility is not self._visibility.all_visible)})
         set_uniforms(program, {**self._uniforms, "world_from_view": view.rotation,  # GL reads rows as columns: the transpose
                                "view_bounds": (left, bottom, right - left, top - bottom), "view_size": view.size})
         triangle.render(moderngl.TRIANGLES, 3)
 
     def release(self) -> None:
-        release_all(*(shaded.table for shaded in self._shaded.values()), self._lobe_atlas, self._dfg)
+        release_all(*(shaded.table for shaded in self._shaded.values()), self._lobe_atlas, self._dfg, self._visibility)
         for program, triangle in self._shading.values():
             release_all(triangle, program)

@@ -18,6 +18,7 @@ from renderer.equirectangular import uv_from_direction
 from renderer.gl import GL_CLIP_DISTANCE0, Context, release_all, set_uniforms
 from renderer.gpu_mesh import GpuMesh, PlacedMesh
 from renderer.light_detection import Light
+from renderer.light_discs import STALE_SHARE, disc_directions, hardly_moved
 
 Array = NDArray[np.float64]
 LIGHT, AMBIENT, FINE_LIGHT = 0, 1, 2     # proxies, each with the program it is drawn by
@@ -30,8 +31,6 @@ AMBIENT_SAMPLES = 96
 FIRST_UNIT = 8            # texture units after the panorama's
 MIN_ELEVATION = np.sin(np.radians(3.0))   # of a sample; flatter ones would cast without end
 MAX_REACH_M = 40.0
-STALE_SHARE = 0.25         # of a light's angular radius: how far it may move before its shadows are drawn anew
-STALE_MIN = np.radians(0.05)
 _PADDING = 0.02     # of a rectangle, so that no shadow touches its edge
 
 
@@ -64,21 +63,6 @@ class ShadowMap:
         x = np.concatenate([x0 + (x1 - x0) * t, x0 + (x1 - x0) * t, np.full(17, x0), np.full(17, x1)])
         z = np.concatenate([np.full(17, z0), np.full(17, z1), z0 + (z1 - z0) * t, z0 + (z1 - z0) * t])
         return np.stack([x, np.full_like(x, ground_y), z], axis=1)
-
-
-def disc_directions(direction: Array, angular_radius: float, count: int) -> Array:
-    """(count, 3) unit directions spread evenly over a disc of the sky (Fibonacci spiral)."""
-    x, y, z = direction
-    # an orthonormal basis without a branch that could fail (Duff et al. 2017)
-    sign = 1.0 if z >= 0 else -1.0
-    a = -1.0 / (sign + z)
-    b = x * y * a
-    right, up = np.array([1 + sign * x * x * a, sign * b, -sign * x]), np.array([b, sign + y * y * a, -y])
-    index = np.arange(count)
-    cosine = 1 - (index + 0.5) / count * (1 - np.cos(angular_radius))
-    sine = np.sqrt(np.maximum(1 - cosine**2, 0.0))
-    phi = index * np.pi * (3 - np.sqrt(5))
-    return np.asarray(cosine[:, None] * direction + (sine * np.cos(phi))[:, None] * right + (sine * np.sin(phi))[:, None] * up)
 
 
 def _hemisphere_directions(count: int) -> Array:
@@ -135,7 +119,7 @@ class ShadowStage:
         kept = self._lights.get((key, light.id))
         if kept is not None and kept.place == place:
             tolerance = STALE_SHARE if self._redrawn == 0 else 1.0
-            if _hardly_moved(kept.light, light, tolerance):
+            if hardly_moved(kept.light, light, tolerance):
                 return replace(kept.shadow, light=light_index) if kept.shadow is not None else None
             self._redrawn += 1
         cell = kept.cell if kept is not None else self._free_cell()
@@ -266,13 +250,6 @@ class ShadowStage:
 
 def _place_state(placed: PlacedMesh, ground_y: float) -> bytes:
     return placed.world_from_model.tobytes() + np.float64(ground_y).tobytes() + id(placed.mesh).to_bytes(8, "little")
-
-
-def _hardly_moved(before: Light, now: Light, tolerance: float) -> bool:
-    """By less than this share of its radius, and without growing much."""
-    moved = float(np.arccos(np.clip(before.direction @ now.direction, -1, 1)))
-    grown = abs(before.angular_radius - now.angular_radius)
-    return moved <= max(tolerance * now.angular_radius, STALE_MIN) and grown <= 0.2 * now.angular_radius
 
 
 def world_points(placed: PlacedMesh) -> Array:

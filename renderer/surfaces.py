@@ -76,7 +76,7 @@ class ViewTarget:
         self.texture = context.texture(size, 4, "f2")
         self.shaded = gl.framebuffer([self.texture])
         self.view: View | None = None       # whose surfaces are in the samples
-        self.surfaces: list[Surface] = []   # their table, from 1 in the samples
+        self.surfaces: list[tuple[Surface, int]] = []   # from 1 in the samples; each with the index of its object
 
     def release(self) -> None:
         release_all(self.framebuffer, self.shaded, self.texture, self.silhouette, *self.samples, self._depth)
@@ -106,7 +106,8 @@ class SurfaceStage:
         if target.view is view:
             return target, False
         suffix = " textured" if textured else ""
-        target.surfaces = [surface for item in members for _, surface in item.parts()][:MAX_SURFACES - 1]
+        target.surfaces = [(surface, index) for index, item in zip(view.members, members, strict=True)
+                           for _, surface in item.parts()][:MAX_SURFACES - 1]
         sampled = (view.size[0] * SAMPLES, view.size[1] * SAMPLES)
         self._draw(target.framebuffer, sampled, f"surface{suffix}", view.clip_from_world(), members)
         outline = target.silhouette.projection = silhouette_view(view)
@@ -115,6 +116,19 @@ class SurfaceStage:
         target.silhouette.texture.build_mipmaps(0, 1)
         target.view = view
         return target, True
+
+    def draw_depth(self, clip_from_world: NDArray[np.float64], members: list[PlacedMesh]) -> None:
+        """Draw objects into the depth of the framebuffer in use."""
+        gl = self._context.gl
+        gl.enable_only(moderngl.DEPTH_TEST)
+        gl.enable_direct(GL_CLIP_DISTANCE0)
+        for item in members:
+            name = "mask textured" if item.is_textured else "mask"
+            set_uniforms(self.programs[name], {"clip_from_world": clip_from_world.T})
+            self._draw_object(item, name, self.programs[name], 1)
+        gl.front_face = "ccw"
+        gl.disable_direct(GL_CLIP_DISTANCE0)
+        gl.enable_only(moderngl.NOTHING)
 
     def keep(self, views: list[View]) -> None:
         """Surfaces of these views stay as drawn until the views are others; the targets of all other views are free."""

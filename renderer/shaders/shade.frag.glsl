@@ -12,9 +12,8 @@ uniform sampler2D geometry;             // 2 x 2 samples a pixel: normal times d
 #if TEXTURED
 uniform sampler2D color_metallic;       // of the samples
 uniform sampler2D emissive_roughness;
-#else
-uniform sampler2D surfaces;             // a row a surface: colour + metallic, emissive + roughness, its lobe map
 #endif
+uniform sampler2D surfaces;             // a row a surface: colour + metallic, emissive + roughness, its lobe map, near field
 uniform mat3 world_from_view;           // columns: right, up, forward
 uniform vec4 view_bounds;               // left, bottom, width, height on the tangent plane
 uniform vec2 view_size;
@@ -22,6 +21,8 @@ uniform vec2 view_size;
 uniform vec3 light_direction[LIGHTS];
 uniform vec3 light_irradiance[LIGHTS];  // 0 for an unused entry
 uniform float light_radius[LIGHTS];
+uniform sampler2D light_visibility;     // a channel for each of the first four; one texel where all are visible everywhere
+uniform int has_light_visibility;
 uniform sampler2D lobe_atlas;           // irradiance, and maps prefiltered for each roughness in use; lights taken out
 uniform vec3 irradiance_cell;           // u scale, v offset, v scale in the atlas
 uniform vec4 lobe[MAX_LOBES];           // roughness; u scale, v offset, v scale in the atlas
@@ -34,6 +35,8 @@ uniform float ground_y;
 uniform int has_ground;
 
 out vec4 radiance;
+
+#include "near_field.glsl"
 
 // Where a reflected ray ends: on the ground it is seen by the camera in another direction than it left the object.
 vec3 seen_direction(vec3 from, vec3 ray) {
@@ -97,9 +100,9 @@ vec3 dominant_direction(vec3 mirrored, vec3 normal, float roughness) {
 #endif
 }
 
-struct Surface { vec3 normal; vec3 position; vec3 color; float metallic; vec3 emissive; float roughness; vec3 lobe; };
+struct Surface { vec3 normal; vec3 position; vec3 color; float metallic; vec3 emissive; float roughness; vec3 lobe; vec3 nearby; };
 
-vec3 shade(Surface s, vec3 view, vec3 reflected, vec3 step_x, vec3 step_y) {
+vec3 shade(Surface s, vec3 view, vec3 reflected, vec3 step_x, vec3 step_y, vec4 visible) {
     float n_dot_v = clamp(dot(s.normal, view), 1e-3, 1.0);
     float alpha = max(s.roughness * s.roughness, 2e-3);
     bool mirror = s.roughness < mirror_below;
@@ -121,7 +124,7 @@ vec3 shade(Surface s, vec3 view, vec3 reflected, vec3 step_x, vec3 step_y) {
     for (int once = mirror ? 1 : 0; once > 0; --once) mirrored = mirror_radiance(reflected, step_x, step_y);
 #endif
     vec3 glossy = reflectance * mirrored;
-    vec3 e = filtered_light(s.normal, irradiance_cell);
+    vec3 e = filtered_light(s.normal, irradiance_cell) * s.nearby;
     for (int i = 0; i < LIGHTS; ++i) {
         vec3 l = light_direction[i], h = normalize(l + view);
         float n_dot_l = disc_cosine(dot(s.normal, l), light_radius[i]), away = 1.0 - clamp(dot(view, h), 0.0, 1.0);
@@ -130,9 +133,10 @@ vec3 shade(Surface s, vec3 view, vec3 reflected, vec3 step_x, vec3 step_y) {
         float spread = ggx_reflection(clamp(dot(s.normal, h), 0.0, 1.0), n_dot_l, n_dot_v, widened);
         vec3 recovered = 1.0 + f0 * (1.0 / max(whole + ab.z * (widened - alpha), 1e-3) - 1.0);
         vec3 fresnel = f0 + (1.0 - f0) * (away2 * away2 * away);
-        e += light_irradiance[i] * n_dot_l;
+        vec3 arriving = light_irradiance[i] * (i < 4 ? n_dot_l * visible[min(i, 3)] : n_dot_l);
+        e += arriving;
         // what a mirror shows of the light is in the frame already
-        glossy += mirror ? vec3(0.0) : light_irradiance[i] * fresnel * recovered * (n_dot_l * spread);
+        glossy += mirror ? vec3(0.0) : arriving * fresnel * recovered * spread;
     }
     return s.color * (1.0 - s.metallic) * (1.0 - reflectance) * e / PI + glossy + s.emissive;
 }
@@ -157,6 +161,7 @@ Surface surface_at(vec3 normal_times_distance, float surface, ivec2 sample_pixel
     s.metallic = color.a;
     s.emissive = emissive.rgb;
     s.roughness = emissive.a;
+    s.nearby = near_field(int(surface), s.position, s.normal);
     return s;
 }
 
@@ -188,6 +193,7 @@ void main() {
     vec3 direction = normalize(world_from_view * vec3(view_bounds.xy + gl_FragCoord.xy / view_size * view_bounds.zw, 1.0));
     vec3 mean_reflected = reflect(direction, normalize(near.sample_sum.rgb + vec3(0.0, 1e-12, 0.0)));
     vec3 step_x = dFdx(mean_reflected), step_y = dFdy(mean_reflected);
+    vec4 visible = texelFetch(light_visibility, has_light_visibility * ivec2(gl_FragCoord.xy), 0);
     vec3 total = vec3(0.0);
     int count = far.weight > 0.0 ? 2 : (near.weight > 0.0 ? 1 : 0);     // pixels without an object cost nothing
     for (int i = 0; i < count; ++i) {
@@ -195,7 +201,7 @@ void main() {
         Surface s = surface_at(group.sample_sum.rgb / group.members, group.first.a,
                                corner + ivec2(group.first_index & 1, group.first_index >> 1), direction);
         vec3 reflected = seen_direction(s.position, dominant_direction(reflect(direction, s.normal), s.normal, s.roughness));
-        total += group.weight * sanitize(shade(s, -direction, reflected, step_x, step_y));
+        total += group.weight * sanitize(shade(s, -direction, reflected, step_x, step_y, visible));
     }
     radiance = vec4(total, near.weight + far.weight);
 }

@@ -1,0 +1,151 @@
+"""How much of each strong light reaches an object's surface past itself and its neighbours, for every pixel of a view.
+
+A depth map along the light, looked up with a filter as wide as the light's disc is on the surface (Fernando 2005). Worked out
+once for as long as neither objects nor light move; the shading of a frame then reads one texel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.gl import Context, release_all, set_uniforms
+from renderer.gpu_mesh import PlacedMesh
+from renderer.light_detection import Light
+from renderer.light_discs import hardly_moved
+from renderer.placement import View, looking_along
+from renderer.shapes import Solid
+from renderer.surfaces import FIRST_UNIT, SurfaceStage, ViewTarget
+
+Array = NDArray[np.floating]
+MAX_LIGHTS = 4             # in one view; a channel each
+SIZE = 512                 # texels a side of a depth map
+MIN_SHARE = 0.02           # of what all lights give; weaker ones go through
+_MARGIN = 1.02
+
+
+@dataclass(frozen=True)
+class Receiver:
+    """An object with the solid that stands for it where only its reach matters; `casts`: whether it throws shadows at all."""
+
+    placed: PlacedMesh
+    solid: Solid
+    is_convex: bool
+    casts: bool
+
+
+@dataclass
+class _Kept:
+    texture: moderngl.Texture
+    framebuffer: moderngl.Framebuffer
+    view: View
+    casters: tuple[tuple[int, ...], ...]
+    lights: tuple[Light, ...]
+
+
+class LightVisibilityStage:
+    """Owns the depth map and the visibility of every view that needs one."""
+
+    def __init__(self, context: Context, surfaces: SurfaceStage) -> None:
+        self._context = context
+        self._surfaces = surfaces
+        gl = context.gl
+        self._depth = gl.depth_texture((SIZE, SIZE))
+        self._depth.compare_func = ""
+        self._depth.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        self._framebuffer = gl.framebuffer([], self._depth)
+        self._program = context.program("full_screen.vert.glsl", "light_visibility.frag.glsl")
+        self._triangle = gl.vertex_array(self._program, [])
+        self._kept: dict[ViewTarget, _Kept] = {}
+        self.all_visible = context.texture((1, 1), 4, "f1", linear=False)
+        self.all_visible.write(b"\xff\xff\xff\xff")
+
+    def texture(self, target: ViewTarget, view: View, receivers: tuple[Receiver, ...],
+                lights: tuple[Light, ...]) -> moderngl.Texture:
+        """A channel for each of the first `MAX_LIGHTS`: the share of it that is visible from the surface in a pixel of the view."""
+        strong = lights[:MAX_LIGHTS]
+        casters = tuple(_casters(view.members, receivers, light) if _matters(light, lights) else () for light in strong)
+        if not any(casters):
+            return self.all_visible
+        kept = self._kept.get(target)
+        if kept is not None and kept.view is view and kept.casters == casters and len(kept.lights) == len(strong) and all(
+                hardly_moved(before, now) for before, now in zip(kept.lights, strong, strict=True)):
+            return kept.texture
+        if kept is None:
+            texture = self._context.texture(target.texture.size, 4, "f1", linear=False)
+            kept = _Kept(texture, self._context.gl.framebuffer([texture]), view, casters, strong)
+            self._kept[target] = kept
+        kept.view, kept.casters, kept.lights = view, casters, strong
+        kept.framebuffer.use()
+        kept.framebuffer.clear(1.0, 1.0, 1.0, 1.0)
+        for channel, (light, indices) in enumerate(zip(strong, casters, strict=True)):
+            if indices:
+                self._add(kept, target, channel, light, [receivers[i] for i in view.members], [receivers[i] for i in indices])
+        return kept.texture
+
+    def _add(self, kept: _Kept, target: ViewTarget, channel: int, light: Light, seen: list[Receiver],
+             casters: list[Receiver]) -> None:
+        rotation = looking_along(-light.direction)
+        low, high = _box(rotation, seen)
+        nearest = _box(rotation, casters)[0][2]
+        low[2] = min(low[2], nearest)
+        clip_from_world = np.eye(4)
+        clip_from_world[:3, :3] = rotation * (2 / (high - low))[:, None]
+        clip_from_world[:3, 3] = -(high + low) / (high - low)
+        self._framebuffer.use()
+        self._framebuffer.viewport = (0, 0, SIZE, SIZE)
+        self._framebuffer.clear(depth=1.0)
+        self._surfaces.draw_depth(clip_from_world, [item.placed for item in casters])
+        kept.framebuffer.use()
+        kept.framebuffer.viewport = (0, 0, *kept.view.size)
+        kept.framebuffer.color_mask = (channel == 0, channel == 1, channel == 2, channel == 3)
+        self._depth.use(FIRST_UNIT)
+        target.samples[0].use(FIRST_UNIT + 1)
+        left, right, bottom, top = kept.view.bounds
+        set_uniforms(self._program, {
+            "depth_map": FIRST_UNIT, "geometry": FIRST_UNIT + 1, "world_from_view": kept.view.rotation,
+            "view_bounds": (left, bottom, right - left, top - bottom), "view_size": kept.view.size,
+            "clip_from_world": clip_from_world.T, "light_direction": light.direction,
+            "extent": tuple(high - low), "spread": float(np.tan(light.angular_radius))})
+        self._context.gl.enable_only(moderngl.NOTHING)
+        self._triangle.render(moderngl.TRIANGLES, 3)
+        kept.framebuffer.color_mask = (True, True, True, True)
+
+    def release(self) -> None:
+        for kept in self._kept.values():
+            release_all(kept.framebuffer, kept.texture)
+        release_all(self._framebuffer, self._depth, self._triangle, self._program, self.all_visible)
+
+
+def _matters(light: Light, lights: tuple[Light, ...]) -> bool:
+    return float(light.irradiance.sum()) > MIN_SHARE * float(sum(other.irradiance.sum() for other in lights))
+
+
+def _casters(members: tuple[int, ...], receivers: tuple[Receiver, ...], light: Light) -> tuple[int, ...]:
+    """Indices of the objects that may hide a light from some of a view's members."""
+    found = []
+    for index, caster in enumerate(receivers):
+        if caster.casts and any(_may_hide(caster, receivers[member], light) for member in members
+                                if member != index or not caster.is_convex):
+            found.append(index)
+    return tuple(found)
+
+
+def _may_hide(caster: Receiver, receiver: Receiver, light: Light) -> bool:
+    if caster is receiver:
+        return True
+    towards = caster.solid.centre - receiver.solid.centre
+    along = float(towards @ light.direction)
+    reach = caster.solid.radius + receiver.solid.radius
+    aside = float(np.linalg.norm(towards - along * light.direction))
+    return along > -reach and aside < reach + max(along, 0.0) * np.tan(light.angular_radius)
+
+
+def _box(rotation: Array, items: list[Receiver]) -> tuple[Array, Array]:
+    """Low and high corner in the light's axes of the spheres around some objects."""
+    centres = np.array([item.solid.centre for item in items]) @ rotation.T
+    radii = _MARGIN * np.array([item.solid.radius for item in items])[:, None]
+    return (centres - radii).min(axis=0), (centres + radii).max(axis=0)

@@ -1,0 +1,71 @@
+"""Which objects are near which, and the near field of each; kept until one of them moves."""
+
+from __future__ import annotations
+
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.gpu_mesh import GpuMesh, PlacedMesh
+from renderer.light_detection import Light
+from renderer.near_field import Body, Fit, NearField, mean_albedo, surface_points
+from renderer.shapes import Shape, Solid, fitted_shape
+
+Array = NDArray[np.floating]
+NEIGHBOUR_REACH = 4.0     # in sizes of both together; what is farther away covers less than a hundredth of the view
+
+
+class Surroundings:
+    """Owns the near field of every object in the scene."""
+
+    def __init__(self) -> None:
+        self._models: WeakKeyDictionary[GpuMesh, tuple[Shape, Array, Array]] = WeakKeyDictionary()
+        self._kept: dict[str, tuple[bytes, NearField]] = {}
+
+    def fits(self, objects: dict[str, PlacedMesh], ground_y: float | None, radiance: NDArray[np.float32],
+             irradiance: NDArray[np.float32], lights: tuple[Light, ...]) -> tuple[Fit, ...]:
+        """Of each object, for this frame's light: radiance and irradiance maps without `lights`.
+
+        Of those objects whose surroundings have changed one is looked at anew; the others wait for the next frames and take along
+        what they had.
+        """
+        bodies = self.bodies(objects)
+        waiting = None
+        kept: dict[str, tuple[bytes, NearField]] = {}
+        for name in sorted(bodies, key=list(self._kept).index if set(bodies) <= set(self._kept) else lambda _: 0):
+            body = bodies[name]
+            others = {other: bodies[other] for other in bodies if other != name and _is_near(body, bodies[other])}
+            state = b"".join([_state(objects[name]), *(_state(objects[other]) for other in others),
+                              repr((ground_y, radiance.shape)).encode()])
+            before = self._kept.get(name)
+            if before is None or (before[0] != state and waiting is None):
+                waiting = None if before is None else name
+                before = (state, NearField(body, list(others.values()), ground_y, radiance.shape[0]))
+            kept[name] = before
+        # the one that was served goes to the end of the queue
+        self._kept = {name: kept[name] for name in sorted(kept, key=lambda name: name == waiting)}
+        return tuple(kept[name][1].fit(radiance, irradiance, lights, bodies[name].solid.centre) for name in objects)
+
+    def bodies(self, objects: dict[str, PlacedMesh]) -> dict[str, Body]:
+        """Each object as its near field sees it."""
+        return {name: self._body(item) for name, item in objects.items()}
+
+    def _body(self, placed: PlacedMesh) -> Body:
+        if placed.mesh not in self._models:
+            self._models[placed.mesh] = (fitted_shape(placed.mesh.mesh), *surface_points(placed.mesh.mesh))
+        shape, points, normals = self._models[placed.mesh]
+        matrix = placed.world_from_model
+        turned = normals @ np.linalg.inv(matrix[:3, :3])
+        return Body(Solid.placed(shape, matrix), points @ matrix[:3, :3].T + matrix[:3, 3],
+                    turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-12),
+                    shape.is_convex, np.asarray(np.mean([mean_albedo(surface) for surface in placed.surfaces], axis=0)))
+
+
+def _state(placed: PlacedMesh) -> bytes:
+    return placed.world_from_model.tobytes() + id(placed.mesh).to_bytes(8, "little") + repr(placed.surface).encode()
+
+
+def _is_near(one: Body, other: Body) -> bool:
+    distance = float(np.linalg.norm(one.solid.centre - other.solid.centre))
+    return distance < NEIGHBOUR_REACH * (one.solid.radius + other.solid.radius)
