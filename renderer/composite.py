@@ -24,7 +24,8 @@ Array = NDArray[np.float64]
 # Few, because each has to be compiled before the first frame.
 SLOTS = ((0, 1), (1, 1), (2, 2), (8, 4))
 MAX_SHADOWS = 64               # of each kind in one frame; as in composite.vert.glsl
-POINT_INTS = 15
+POINT_LAYOUT = (("tile", 3), ("maps_low", 4), ("maps_high", 4), ("ambients", 4), ("coverage_slot", 1))
+POINT_INTS = sum(count for _, count in POINT_LAYOUT)
 ATLAS_COLUMNS = 32
 FIRST_UNIT = 16           # after those of the object stage, which draws in between
 
@@ -58,6 +59,8 @@ class _Plan:
     tiles: NDArray[np.intp]
     points: NDArray[np.int32]
     batches: list[list[Batch]]
+    view_points: list[tuple[int, int]]      # first and number of the points of each view that has any
+    covered: int                            # tiles of all views together
     masks: list[TileMask]
     sizes: tuple[int, int]
 
@@ -78,6 +81,13 @@ class CompositeStage:
         self._textures: list[moderngl.Texture] = []
         self._framebuffer: moderngl.Framebuffer | None = None
         self._points = context.gl.buffer(reserve=4 * POINT_INTS * 256)
+        self._coverage_program = context.program("composite.vert.glsl", "coverage.frag.glsl", {
+            "OUTPUT_YUV": int(self._is_yuv), "VIEW": PERSPECTIVE, "MAPS": 0, "AMBIENTS": 0, "COVERAGE": 1})
+        set_uniforms(self._coverage_program, {"frame_size": panorama.size, "tile_fragments": self._fragments, "tile_pixels": TILE,
+                                              "atlas_columns": ATLAS_COLUMNS})
+        self._coverage_array: moderngl.VertexArray | None = None
+        self._covered: list[View] = []      # the views whose coverage is in the atlas
+        self._make_coverage(8)
 
     def run(self, views: list[View], draw_view: DrawView, maps: list[Touched], ambient: list[Touched],
             ground: GroundLight | None, shadows: ShadowStage) -> NDArray[np.intp]:
@@ -95,8 +105,10 @@ class CompositeStage:
         # all views first: reading a texture that has just been drawn makes a software renderer wait for it
         drawn = [draw_view(view) if batches else None for view, batches in zip(views, plan.batches, strict=False)]
         assert self._framebuffer is not None
-        self._framebuffer.use()
         self._context.gl.enable_only(moderngl.PROGRAM_POINT_SIZE)
+        self._draw_coverage(plan, [view for view in drawn if view is not None])
+        self._coverage.use(FIRST_UNIT + 3)
+        self._framebuffer.use()
         self._last_drawn = next((view for view in drawn if view is not None), None)
         for view, batches in zip([*drawn, None], plan.batches, strict=True):
             self._draw(batches, view)
@@ -126,8 +138,9 @@ class CompositeStage:
 
     def _upload(self, points: NDArray[np.int32]) -> None:
         if self._points.size < points.nbytes:
-            release_all(*self._vertex_arrays.values())
+            release_all(*self._vertex_arrays.values(), self._coverage_array)
             self._vertex_arrays.clear()
+            self._coverage_array = None
             self._points.orphan(2 * points.nbytes)
         self._points.write(points)
 
@@ -146,21 +159,22 @@ class CompositeStage:
             view, maps, ambients = variant
             self._programs[variant] = self._context.program("composite.vert.glsl", "composite.frag.glsl", {
                 **self._panorama.defines, "OUTPUT_YUV": int(self._is_yuv), "VIEW": view,
-                "MAPS": maps, "AMBIENTS": ambients})
+                "MAPS": maps, "AMBIENTS": ambients, "COVERAGE": 0})
         program = self._programs[variant]
         if variant not in self._vertex_arrays:
-            names = [name for name in ("tile", "maps_low", "maps_high", "ambients") if name in program]
-            layout = " ".join(part if name in program else part.replace("3i", "12x").replace("4i", "16x")
-                              for part, name in zip(("3i", "4i", "4i", "4i"), ("tile", "maps_low", "maps_high", "ambients"),
-                                                    strict=True))
-            self._vertex_arrays[variant] = self._context.gl.vertex_array(program, [(self._points, layout, *names)])
+            self._vertex_arrays[variant] = self._vertex_array(program)
         return program, self._vertex_arrays[variant]
+
+    def _vertex_array(self, program: moderngl.Program) -> moderngl.VertexArray:
+        names = [name for name, _ in POINT_LAYOUT if name in program]
+        layout = " ".join(f"{count}i" if name in program else f"{4 * count}x" for name, count in POINT_LAYOUT)
+        return self._context.gl.vertex_array(program, [(self._points, layout, *names)])
 
     def _constants(self, maps: list[Touched], ambient: list[Touched], ground: GroundLight | None) -> dict[str, object]:
         assert self._framebuffer is not None
         values: dict[str, object] = {
             "view_texture": FIRST_UNIT, "shadow_atlas": FIRST_UNIT + 1, "ambient_atlas": FIRST_UNIT + 2,
-            "silhouette": FIRST_UNIT + 3,
+            "coverage": FIRST_UNIT + 3,
             "atlas_size": self._framebuffer.size, "tile_fragments": self._fragments, "tile_pixels": TILE,
             "atlas_columns": ATLAS_COLUMNS}
         if self._is_yuv:
@@ -189,6 +203,33 @@ class CompositeStage:
             if drawn is not None:
                 _bind_view(program, drawn)
             vertex_array.render(moderngl.POINTS, vertices=count, first=first)
+
+    def _draw_coverage(self, plan: _Plan, drawn: list[Drawn]) -> None:
+        """What the views' objects cover, unless that is known."""
+        views = [one.view for one in drawn]
+        if len(views) == len(self._covered) and all(a is b for a, b in zip(views, self._covered, strict=True)):
+            return
+        self._covered = views
+        rows = -(-plan.covered // ATLAS_COLUMNS)
+        if rows * self._fragments > self._coverage.height:
+            self._context.rest()
+            release_all(self._coverage_target, self._coverage)
+            self._make_coverage(-(-rows // 8) * 8)
+        self._coverage_target.use()
+        program = self._coverage_program
+        set_uniforms(program, {"atlas_size": self._coverage.size})
+        if self._coverage_array is None:
+            self._coverage_array = self._vertex_array(program)
+        for one, (first, count) in zip(drawn, plan.view_points, strict=True):
+            one.silhouette.use(FIRST_UNIT + 3)
+            set_uniforms(program, {"view_from_world": one.view.rotation.T, "silhouette": FIRST_UNIT + 3,
+                                   "silhouette_from_tangent": one.silhouette_from_tangent.T})
+            self._coverage_array.render(moderngl.POINTS, vertices=count, first=first)
+
+    def _make_coverage(self, rows: int) -> None:
+        size = (ATLAS_COLUMNS * self._fragments, rows * self._fragments)
+        self._coverage = self._context.texture(size, 4 if self._is_yuv else 1, "f1", linear=False)
+        self._coverage_target = self._context.gl.framebuffer([self._coverage])
 
     def _read(self, count: int, attachment: int) -> NDArray[np.generic]:
         """(count, fragments, fragments, 4) tiles of the atlas."""
@@ -228,16 +269,15 @@ class CompositeStage:
     def release(self) -> None:
         self._release_target()
         release_all(*self._vertex_arrays.values(), *self._programs.values(), self._points)
+        release_all(self._coverage_array, self._coverage_target, self._coverage, self._coverage_program)
 
 
 def _bind_view(program: moderngl.Program, drawn: Drawn) -> None:
     view = drawn.view
     drawn.radiance.use(FIRST_UNIT)
-    drawn.silhouette.use(FIRST_UNIT + 3)
     left, right, bottom, top = view.bounds
     set_uniforms(program, {
         "view_axis": view.rotation[2], "view_from_world": view.rotation.T,
-        "silhouette_from_tangent": drawn.silhouette_from_tangent.T,
         "view_bounds": (left, bottom, 1 / (right - left), 1 / (top - bottom)),
         "view_scale": (view.size[0] / drawn.radiance.width, view.size[1] / drawn.radiance.height)})
 
@@ -246,20 +286,26 @@ def _make_plan(views: list[View], maps: list[Touched], ambient: list[Touched], m
                sizes: tuple[int, int]) -> _Plan:
     tiles = np.argwhere(np.logical_or.reduce(masks)) if masks else np.zeros((0, 2), dtype=np.intp)
     map_lists, ambient_lists = _reached(tiles, maps, SLOTS[-1][0]), _reached(tiles, ambient, SLOTS[-1][1])
-    rows = np.concatenate([tiles[:, ::-1], np.arange(len(tiles))[:, None], map_lists, ambient_lists], axis=1).astype("i4")
+    rows = np.concatenate([tiles[:, ::-1], np.arange(len(tiles))[:, None], map_lists, ambient_lists,
+                           np.full((len(tiles), 1), -1)], axis=1).astype("i4")
     kinds = _slots(map_lists, ambient_lists)
     in_views = [view.tiles[tiles[:, 0], tiles[:, 1]] for view in views]
     no_view = ~np.logical_or.reduce(in_views) if in_views else np.ones(len(tiles), dtype=bool)
     points: list[NDArray[np.int32]] = [np.zeros((0, POINT_INTS), dtype="i4")]
     batches: list[list[Batch]] = []
-    first = 0
+    view_points: list[tuple[int, int]] = []
+    first = covered = 0
     for members in (*in_views, no_view):
         batches.append([])
+        rows[members, -1] = covered + np.arange(members.sum())      # by tile alone: it stays as other shadows come and go
+        if members is not no_view and members.any():
+            view_points.append((first, int(members.sum())))
         for kind in np.unique(kinds[members]):
             points.append(rows[members & (kinds == kind)])
             batches[-1].append((SLOTS[kind], first, len(points[-1])))
             first += len(points[-1])
-    return _Plan(tiles, np.concatenate(points), batches, masks, sizes)
+        covered += int(members.sum()) if members is not no_view else 0
+    return _Plan(tiles, np.concatenate(points), batches, view_points, covered, masks, sizes)
 
 
 def _reached(tiles: NDArray[np.intp], touched: list[Touched], most: int) -> NDArray[np.intp]:

@@ -29,11 +29,13 @@ _MARGIN = 1.02
 
 @dataclass(frozen=True)
 class Receiver:
-    """An object with the solid that stands for it where only its reach matters; `casts`: whether it throws shadows at all."""
+    """An object with the solid that stands for it where only its reach matters, (3,) how much light it gives back, and whether it
+    throws shadows at all."""
 
     placed: PlacedMesh
     solid: Solid
     is_convex: bool
+    albedo: Array
     casts: bool
 
 

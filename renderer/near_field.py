@@ -205,9 +205,8 @@ class NearField:
         basis = functions(body.points, body.normals, body.solid.centre, self._size, -1e9 if ground_y is None else ground_y)
         self._solver = np.linalg.solve(basis.T @ basis + RIDGE * len(basis) * np.eye(FUNCTIONS), basis.T)
 
-    def fit(self, radiance: NDArray[np.float32], irradiance: NDArray[np.float32], lights: tuple[Light, ...], centre: Array) -> Fit:
-        """For (rows, 2 * rows, 3) radiance without its lights, and (rows', 2 * rows', 3) irradiance of it; the object's centre is
-        where it is now."""
+    def fit(self, radiance: NDArray[np.float32], irradiance: NDArray[np.float32], lights: tuple[Light, ...]) -> Fit:
+        """For (rows, 2 * rows, 3) radiance without its lights, and (rows', 2 * rows', 3) irradiance of it."""
         flat = radiance.reshape(-1, 3).astype(np.float64)
         distant = flat[self._sky]
         near = distant.copy()
@@ -222,7 +221,7 @@ class NearField:
         ratio = np.clip(np.where(sums[1] > 1e-9, sums[0] / np.maximum(sums[1], 1e-9), 1.0), *RATIO_RANGE)
         one = np.zeros((FUNCTIONS, 3))
         one[0] = 1.0
-        return Fit(centre, self._size, self._solver @ (ratio - 1.0) + one)
+        return Fit(self._body.solid.centre, self._size, self._solver @ (ratio - 1.0) + one)
 
 
 def _coarser(texels: NDArray[np.intp], rows: int, fewer: int) -> NDArray[np.intp]:

@@ -28,7 +28,7 @@ from renderer.placement import TILE, TileMask, View, plan_views, touched_tiles
 from renderer.radiance_map import RadianceMapStage, packed_pixels
 from renderer.ring_sampling import RingSource
 from renderer.scene import Lighting, Scene, SceneObject
-from renderer.shading import MIRROR_BELOW, Illumination, ShadingStage, may_mirror
+from renderer.shading import MIRROR_BELOW, Illumination, ShadingStage, is_sharp, may_mirror
 from renderer.shadows import ShadowMap, ShadowStage, world_points
 from renderer.specular import prefilter_all, quantized_roughness
 from renderer.surfaces import SurfaceStage
@@ -232,6 +232,7 @@ class Pipeline:
         with timings.stage("shadows"):
             ground = self._ground_light(scene, light)
             maps, ambient = self._cast(scene, placement.objects, light, ground) if ground else ([], [])
+            self._reflect_ground(placement, ground, maps, ambient)
         self._lit = _Lit(light, scene.lighting, placement, ground, maps, ambient)
         return self._lit
 
@@ -242,7 +243,7 @@ class Pipeline:
         ground_y = -scene.camera_height if scene.ground.catcher else None
         near = self._surroundings.fits(placement.objects, ground_y, light.soft, light.irradiance, lights)
         casting = {item.id for item in scene.objects if item.casts_shadow}
-        receivers = tuple(Receiver(placement.objects[name], body.solid, body.is_convex, name in casting)
+        receivers = tuple(Receiver(placement.objects[name], body.solid, body.is_convex, body.albedo, name in casting)
                           for name, body in self._surroundings.bodies(placement.objects).items())
         return Illumination(light.irradiance, lights, prefilter_all(light.soft, wanted), ground_y, rings, near, receivers)
 
@@ -269,6 +270,14 @@ class Pipeline:
 
         touched = self._touched([shadow for shadow in (*maps, *ambient) if shadow is not None], ground.y)
         return [item for item in touched if item.shadow.light >= 0], [item for item in touched if item.shadow.light < 0]
+
+    def _reflect_ground(self, placement: Placement, ground: GroundLight | None, maps: list[Touched],
+                        ambient: list[Touched]) -> None:
+        """Have the ground's shadows ready for those objects that are smooth enough to show them."""
+        objects = placement.objects.values()
+        if ground is not None and any(item.is_textured or any(map(is_sharp, item.surfaces)) for item in objects):
+            self._shading.ground_missing.draw([item.shadow for item in maps], [item.shadow for item in ambient], ground.lights,
+                                              ground.total, self._shadows)
 
     def _touched(self, shadows: list[ShadowMap], ground_y: float) -> list[Touched]:
         """The tiles of each map; those of a map that lies where it lay in the last frame are kept."""
@@ -297,6 +306,7 @@ class Pipeline:
     def reset(self) -> None:
         """Forget the lights of earlier frames."""
         self._reader.reset()
+        self._surroundings.reset()
 
     def release(self) -> None:
         self._context.rest()

@@ -11,17 +11,21 @@ from numpy.typing import NDArray
 
 from renderer.gl import Context, release_all, set_uniforms
 from renderer.gpu_mesh import PlacedMesh
+from renderer.ground_ratio import GroundRatioStage
 from renderer.light_detection import Light
 from renderer.light_visibility import LightVisibilityStage, Receiver
+from renderer.mesh import Surface
 from renderer.near_field import FUNCTIONS, Fit
 from renderer.panorama import PanoramaTextures
 from renderer.placement import View
+from renderer.shapes import KINDS
 from renderer.specular import MIN_ROUGHNESS, Array32, dfg_table, quantized_roughness
 from renderer.surfaces import FIRST_UNIT, MAX_SURFACES, SurfaceStage, ViewTarget
 
 Array = NDArray[np.float64]
 LIGHT_SLOTS = (2, 4, 8)   # lights: each number has a program of its own, with a constant loop
 TABLE_WIDTH = 13       # texels a surface: three, and the near field's; as in near_field.glsl
+MAX_SOLIDS = 12        # as in reflections.glsl
 MAX_LOBES = 16         # roughness values in one frame; as in shade.frag.glsl
 MIRROR_BELOW = MIN_ROUGHNESS / 2
 
@@ -48,6 +52,7 @@ class Shading(NamedTuple):
     lights: int
     lobes: bool
     mirrors: bool
+    reflects: bool      # what stands around
     rings: bool = False
 
     @property
@@ -79,6 +84,11 @@ def may_mirror(placed: PlacedMesh) -> bool:
     return placed.is_textured or any(surface.roughness < MIRROR_BELOW for surface in placed.surfaces)
 
 
+def is_sharp(surface: Surface) -> bool:
+    """Whether single things can be made out in what a surface reflects; as in shade.frag.glsl."""
+    return surface.roughness < 0.6 and surface.metallic > 0.5
+
+
 class ShadingStage:
     """Owns the shading programs and their look-up textures."""
 
@@ -93,6 +103,7 @@ class ShadingStage:
         self._dfg = context.texture((table.shape[1], table.shape[0]), 4, "f4")
         self._dfg.write(table.tobytes())
         self._visibility = LightVisibilityStage(context, surfaces)
+        self.ground_missing = GroundRatioStage(context)
         self._shaded: dict[ViewTarget, _Shaded] = {}
         self._lobe_atlas = context.texture((1, 1), 4, "f4")
         self._uniforms: dict[str, object] = {}
@@ -104,7 +115,8 @@ class ShadingStage:
         if kind not in self._shading:
             program = self._context.program("full_screen.vert.glsl", "shade.frag.glsl", {
                 **self._panorama.defines, "TEXTURED": int(kind.textured), "LIGHTS": kind.lights,
-                "HAS_LOBES": int(kind.lobes), "HAS_MIRRORS": int(kind.mirrors), "HAS_RINGS": int(kind.rings)})
+                "HAS_LOBES": int(kind.lobes), "HAS_MIRRORS": int(kind.mirrors),
+                "HAS_REFLECTIONS": int(kind.reflects), "HAS_RINGS": int(kind.rings)})
             self._shading[kind] = (program, self._context.gl.vertex_array(program, []))
         return self._shading[kind]
 
@@ -182,6 +194,7 @@ class ShadingStage:
         return target, shaded, Shading(
             textured, self._slots, lobes=glossy and bool(self._lobe_cells),
             mirrors=textured or min(roughnesses) < MIRROR_BELOW,
+            reflects=textured or any(is_sharp(surface) for surface, _ in target.surfaces),
             rings=glossy and self._illumination is not None and self._illumination.rings is not None)
 
     def _write_table(self, target: ViewTarget, table: moderngl.Texture) -> None:
@@ -190,7 +203,7 @@ class ShadingStage:
         near = () if self._illumination is None else self._illumination.near
         for row, (surface, index) in zip(rows[1:], target.surfaces, strict=True):
             row[0], row[1] = (*surface.base_color[:3], surface.metallic), (*surface.emissive, surface.roughness)
-            row[2, :3] = self._lobe_cells.get(quantized_roughness(surface.roughness), (0.0, 0.0, 0.0))
+            row[2] = (*self._lobe_cells.get(quantized_roughness(surface.roughness), (0.0, 0.0, 0.0)), index)
             row[4, 0] = row[7, 0] = row[10, 0] = 1.0        # what is near makes no difference
             if index < len(near):
                 row[3] = (*near[index].centre, 1 / near[index].size)
@@ -205,8 +218,8 @@ class ShadingStage:
         target, shaded, _ = self._prepared(view, objects)
         for slots in LIGHT_SLOTS:
             self.set_illumination(replace(illumination, lights=(Light(np.array([0.0, 1.0, 0.0]), np.ones(3), 0.01),) * slots))
-            for lobes, mirrors in ((True, False), (False, True), (True, True)):
-                self._shade(view, target, Shading(False, slots, lobes, mirrors))
+            for lobes, mirrors, reflects in ((True, False, False), (True, False, True), (False, True, True), (True, True, True)):
+                self._shade(view, target, Shading(False, slots, lobes, mirrors, reflects))
         self.set_illumination(illumination)
         shaded.lit_by = None
 
@@ -220,18 +233,41 @@ class ShadingStage:
         self._panorama.bind(program)
         textures = {"radiance_map": self._radiance_texture, "dfg_table": self._dfg, "lobe_atlas": self._lobe_atlas,
                     "surfaces": self._shaded[target].table, "light_visibility": visibility,
+                    "ground_missing": self.ground_missing.texture,
                     **({"ring_map": self._illumination.rings} if kind.rings and self._illumination else {}),
                     **dict(zip(("geometry", "color_metallic", "emissive_roughness"), target.samples, strict=False))}
         for unit, (name, texture) in enumerate(textures.items(), start=FIRST_UNIT):
             texture.use(unit)
             set_uniforms(program, {name: unit})
         left, right, bottom, top = view.bounds
+        set_uniforms(program, self._solids(view) | {"ground_missing_rect": self.ground_missing.rect})
         set_uniforms(program, {"has_light_visibility": int(visibility is not self._visibility.all_visible)})
         set_uniforms(program, {**self._uniforms, "world_from_view": view.rotation,  # GL reads rows as columns: the transpose
                                "view_bounds": (left, bottom, right - left, top - bottom), "view_size": view.size})
         triangle.render(moderngl.TRIANGLES, 3)
 
+    def _solids(self, view: View) -> dict[str, object]:
+        """The objects nearest to a view's members, which they may reflect."""
+        receivers = () if self._illumination is None else self._illumination.receivers
+        if len(receivers) < 2:
+            return {"solid_count": 0}
+        centre = np.mean([receivers[index].solid.centre for index in view.members], axis=0)
+        distance = [float(np.linalg.norm(item.solid.centre - centre)) for item in receivers]
+        nearest = sorted(range(len(receivers)), key=distance.__getitem__)[:MAX_SOLIDS]
+        matrices, colors = np.zeros((MAX_SOLIDS, 4, 4)), np.zeros((MAX_SOLIDS, 4))
+        kinds, lobes = np.zeros((MAX_SOLIDS, 3)), np.zeros((MAX_SOLIDS, 3))
+        for slot, index in enumerate(nearest):
+            item = receivers[index]
+            surface = item.placed.surfaces[0]
+            matrices[slot] = item.solid.unit_from_world.T
+            colors[slot] = (*item.albedo, index)
+            cell = self._lobe_cells.get(quantized_roughness(surface.roughness))
+            kinds[slot], lobes[slot] = (KINDS.index(item.solid.kind), surface.metallic, cell is None), cell or (0.0, 0.0, 0.0)
+        return {"solid_count": len(nearest), "unit_from_world": matrices, "solid_color": colors, "solid_kind": kinds,
+                "solid_lobe": lobes}
+
     def release(self) -> None:
-        release_all(*(shaded.table for shaded in self._shaded.values()), self._lobe_atlas, self._dfg, self._visibility)
+        release_all(*(shaded.table for shaded in self._shaded.values()), self._lobe_atlas, self._dfg, self._visibility,
+                    self.ground_missing)
         for program, triangle in self._shading.values():
             release_all(triangle, program)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -22,6 +23,7 @@ class Surroundings:
     def __init__(self) -> None:
         self._models: WeakKeyDictionary[GpuMesh, tuple[Shape, Array, Array]] = WeakKeyDictionary()
         self._kept: dict[str, tuple[bytes, NearField]] = {}
+        self._fits: dict[str, Fit] = {}
 
     def fits(self, objects: dict[str, PlacedMesh], ground_y: float | None, radiance: NDArray[np.float32],
              irradiance: NDArray[np.float32], lights: tuple[Light, ...]) -> tuple[Fit, ...]:
@@ -45,7 +47,24 @@ class Surroundings:
             kept[name] = before
         # the one that was served goes to the end of the queue
         self._kept = {name: kept[name] for name in sorted(kept, key=lambda name: name == waiting)}
-        return tuple(kept[name][1].fit(radiance, irradiance, lights, bodies[name].solid.centre) for name in objects)
+        for name in self._due(kept, waiting):
+            self._fits[name] = kept[name][1].fit(radiance, irradiance, lights)
+        return tuple(replace(self._fits[name], centre=bodies[name].solid.centre) for name in objects)
+
+    def _due(self, kept: dict[str, tuple[bytes, NearField]], changed: str | None) -> list[str]:
+        """Objects to be fitted to a new light: those that have not been or have changed, and one more in turn; for how an object's
+        surroundings dim the light changes less from frame to frame than the light does."""
+        self._fits = {name: fit for name, fit in self._fits.items() if name in kept}
+        due = [name for name in kept if name not in self._fits or name == changed]
+        oldest = next((name for name in self._fits if name not in due), None)
+        for name in (*due, oldest):
+            if name in self._fits:
+                self._fits[name] = self._fits.pop(name)     # to the end of the queue
+        return due if oldest is None else [*due, oldest]
+
+    def reset(self) -> None:
+        """The next light has nothing to do with the last one."""
+        self._fits.clear()
 
     def bodies(self, objects: dict[str, PlacedMesh]) -> dict[str, Body]:
         """Each object as its near field sees it."""

@@ -11,8 +11,8 @@ const float TOUCHED = 1.0 / 1024.0;
 
 #if VIEW
 uniform sampler2D view_texture; // premultiplied radiance of the objects in one perspective view
-uniform sampler2D silhouette;   // their silhouette, finer and turned
-uniform mat3x2 silhouette_from_tangent;
+uniform sampler2D coverage;     // share of each pixel that they cover, tile by tile; four pixels a texel where a fragment is four
+flat in ivec2 coverage_fragment;
 uniform mat3 view_from_world;   // rows: right, up, forward
 uniform vec4 view_bounds;       // left, bottom, 1 / width, 1 / height on the tangent plane
 uniform vec2 view_scale;        // the part of the texture that the view fills
@@ -33,11 +33,6 @@ flat in vec4 hidden_rect[AMBIENTS];
 flat in vec3 hidden_cell[AMBIENTS];
 #endif
 
-uniform int tile_pixels;
-flat in ivec2 cell_fragment;
-flat in ivec2 first_pixel;
-flat in vec4 centre_trig;
-
 #if OUTPUT_YUV
 uniform mat4x3 yuv_from_rgb;
 layout(location = 0) out vec4 luma_block;   // 2 x 2 pixels
@@ -48,19 +43,7 @@ out vec4 pixel_out;                         // radiance, touched
 
 bool inside(vec2 uv) { return all(greaterThanEqual(uv, vec2(0.0))) && all(lessThanEqual(uv, vec2(1.0))); }
 
-// Trigonometry without sin and cos: the vertex shader's at the tile's centre, and short series for the small rest
-// (error below 1e-5 down to frames of 64 pixels, 1e-12 at 2048).
-struct Trig { vec2 sine; vec2 cosine; };
-
-Trig trig_at(vec2 pixel_in_tile) {
-    vec2 d = (pixel_in_tile - 0.5 * float(tile_pixels)) * vec2(2.0, 1.0) * PI / vec2(frame_size), d2 = d * d;
-    vec2 s = d * (1.0 - d2 * (1.0 / 6.0 - d2 * (1.0 / 120.0))), c = 1.0 - d2 * (0.5 - d2 * (1.0 / 24.0 - d2 * (1.0 / 720.0)));
-    return Trig(centre_trig.xy * c + centre_trig.zw * s, centre_trig.zw * c - centre_trig.xy * s);
-}
-
-vec3 direction_at(vec2 azimuth_trig, vec2 polar_trig) {
-    return vec3(polar_trig.x * azimuth_trig.x, polar_trig.y, -polar_trig.x * azimuth_trig.y);
-}
+#include "tile.glsl"
 
 vec2 ground_point(vec3 direction) { return direction.xz * (ground_y / min(direction.y, -1e-3)); }
 
@@ -93,31 +76,12 @@ vec3 missing_light(vec3 direction) {
     return missing;
 }
 
-#if VIEW
-// Share of a pixel that objects cover, by eight places of its finer silhouette; none share a column or a row.
-float coverage(vec2 azimuth_trig, vec2 polar_trig, vec3 seen, vec2 tangent) {
-    vec3 east = view_from_world * vec3(polar_trig.x * azimuth_trig.y, 0.0, polar_trig.x * azimuth_trig.x);
-    vec3 south = view_from_world * vec3(polar_trig.y * azimuth_trig.x, -polar_trig.x, -polar_trig.y * azimuth_trig.y);
-    mat2 step = mat2(silhouette_from_tangent[0], silhouette_from_tangent[1])
-        * mat2((east.xy - tangent * east.z) * 2.0 / float(frame_size.x), (south.xy - tangent * south.z) / float(frame_size.y))
-        * (PI / (16.0 * seen.z));
-    vec2 uv = silhouette_from_tangent * vec3(tangent, 1.0);
-    float sum = textureLod(silhouette, uv + step * vec2(1.0, -3.0), 1.0).r + textureLod(silhouette, uv + step * vec2(-1.0, 3.0), 1.0).r
-        + textureLod(silhouette, uv + step * vec2(5.0, 1.0), 1.0).r + textureLod(silhouette, uv + step * vec2(-3.0, -5.0), 1.0).r
-        + textureLod(silhouette, uv + step * vec2(-5.0, 5.0), 1.0).r + textureLod(silhouette, uv + step * vec2(-7.0, -1.0), 1.0).r
-        + textureLod(silhouette, uv + step * vec2(3.0, 7.0), 1.0).r + textureLod(silhouette, uv + step * vec2(7.0, -7.0), 1.0).r;
-    return 0.125 * sum;
-}
-#endif
-
-vec4 object_radiance(vec2 azimuth_trig, vec2 polar_trig, vec3 direction) {
+vec4 object_radiance(vec3 direction, float covered) {
 #if VIEW
     vec3 d = view_from_world * direction;
     vec2 tangent = d.xy / max(d.z, 1e-6), uv = (tangent - view_bounds.xy) * view_bounds.zw;
     vec4 found = inside(uv) && d.z > 0.0 ? textureLod(view_texture, uv * view_scale, 0.0) : vec4(0.0);
-    // a loop, because a software renderer leaves one that no pixel enters
-    for (int once = found.a > TOUCHED ? 1 : 0; once > 0; --once) found *= coverage(azimuth_trig, polar_trig, d, tangent) / found.a;
-    return found;
+    return found * (covered / max(found.a, TOUCHED));
 #else
     return vec4(0.0);
 #endif
@@ -126,17 +90,24 @@ vec4 object_radiance(vec2 azimuth_trig, vec2 polar_trig, vec3 direction) {
 // What the pixel in this direction needs: the objects' radiance and the ground's ratio.
 struct Layers { vec4 object; vec3 ratio; };
 
-Layers layers_at(vec2 azimuth_trig, vec2 polar_trig, vec3 missing_residual) {
-    vec3 direction = direction_at(azimuth_trig, polar_trig);
+Layers layers_at(vec3 direction, vec3 missing_residual, float covered) {
     vec3 missing = missing_residual + missing_light(direction);
     vec3 ratio = clamp(1.0 - missing / max(ground_irradiance, vec3(1e-6)), 0.0, 1.0);
-    return Layers(object_radiance(azimuth_trig, polar_trig, direction), mix(ratio, vec3(1.0), lessThan(ground_irradiance, vec3(1e-6))));
+    return Layers(object_radiance(direction, covered), mix(ratio, vec3(1.0), lessThan(ground_irradiance, vec3(1e-6))));
 }
 
 bool differs(Layers layers) { return layers.object.a > TOUCHED || any(lessThan(layers.ratio, vec3(1.0 - TOUCHED))); }
 
 vec3 composite(Layers layers, vec3 background) {
     return background * layers.ratio * (1.0 - layers.object.a) + layers.object.rgb;
+}
+
+vec4 covered_at(ivec2 fragment) {
+#if VIEW
+    return texelFetch(coverage, coverage_fragment + fragment, 0);
+#else
+    return vec4(0.0);
+#endif
 }
 
 // Whether the cube face that the view shows is the one that owns a pixel; on an edge both do, and show the same.
@@ -149,8 +120,8 @@ bool owned(vec3 d) {
 }
 
 #if OUTPUT_YUV
-vec3 composited_yuv(vec2 azimuth_trig, vec2 polar_trig, vec3 missing_residual, vec3 yuv) {
-    Layers layers = layers_at(azimuth_trig, polar_trig, missing_residual);
+vec3 composited_yuv(vec2 azimuth_trig, vec2 polar_trig, vec3 missing_residual, vec3 yuv, float covered) {
+    Layers layers = layers_at(direction_at(azimuth_trig, polar_trig), missing_residual, covered);
     vec3 result = composite(layers, radiance_from_signal(rgb_from_yuv * vec4(yuv, 1.0)));
     vec3 new_yuv = yuv_from_rgb * vec4(srgb_from_linear(linear_from_radiance(result)), 1.0);
     return differs(layers) ? new_yuv : yuv;
@@ -166,12 +137,13 @@ void main() {
     ivec2 first = min(first_pixel + in_tile, frame_size - 2);
     vec4 luma = block_luma(first);
     vec2 chroma = block_chroma(first);
+    vec4 covered = covered_at(ivec2(gl_FragCoord.xy) - cell_fragment);
     vec2 left = vec2(near.sine.x, near.cosine.x), right = vec2(far.sine.x, far.cosine.x);
     vec2 upper = vec2(near.sine.y, near.cosine.y), lower = vec2(far.sine.y, far.cosine.y);
-    vec3 upper_left = composited_yuv(left, upper, missing_residual, vec3(luma.x, chroma));
-    vec3 upper_right = composited_yuv(right, upper, missing_residual, vec3(luma.y, chroma));
-    vec3 lower_left = composited_yuv(left, lower, missing_residual, vec3(luma.z, chroma));
-    vec3 lower_right = composited_yuv(right, lower, missing_residual, vec3(luma.w, chroma));
+    vec3 upper_left = composited_yuv(left, upper, missing_residual, vec3(luma.x, chroma), covered.x);
+    vec3 upper_right = composited_yuv(right, upper, missing_residual, vec3(luma.y, chroma), covered.y);
+    vec3 lower_left = composited_yuv(left, lower, missing_residual, vec3(luma.z, chroma), covered.z);
+    vec3 lower_right = composited_yuv(right, lower, missing_residual, vec3(luma.w, chroma), covered.w);
     luma_block = vec4(upper_left.x, upper_right.x, lower_left.x, lower_right.x);
     chroma_block = vec4(0.25 * (upper_left.yz + upper_right.yz + lower_left.yz + lower_right.yz), 0.0, 1.0);
 }
@@ -179,10 +151,9 @@ void main() {
 void main() {
     ivec2 in_tile = ivec2(gl_FragCoord.xy) - cell_fragment;
     Trig t = trig_at(vec2(in_tile) + 0.5);
-    vec2 azimuth_trig = vec2(t.sine.x, t.cosine.x), polar_trig = vec2(t.sine.y, t.cosine.y);
-    vec3 direction = direction_at(azimuth_trig, polar_trig);
+    vec3 direction = direction_at(vec2(t.sine.x, t.cosine.x), vec2(t.sine.y, t.cosine.y));
     if (!owned(direction)) discard;
-    Layers layers = layers_at(azimuth_trig, polar_trig, missing_ambient(direction));
+    Layers layers = layers_at(direction, missing_ambient(direction), covered_at(in_tile).x);
     vec3 background = pixel_radiance(min(first_pixel + in_tile, frame_size - 1));
     pixel_out = vec4(composite(layers, background), differs(layers) ? 1.0 : 0.0);
 }

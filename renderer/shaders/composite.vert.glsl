@@ -19,9 +19,13 @@ uniform vec4 ambient_cell[MAX_AMBIENT];
 in ivec3 tile;                  // column, row in the frame's tile grid; slot in the atlas
 in ivec4 maps_low, maps_high;   // indices of the light maps, by light; -1: none
 in ivec4 ambients;
+in int coverage_slot;           // in the atlas of the silhouettes' coverage
 
 flat out ivec2 cell_fragment;   // the tile's first fragment in the atlas
 flat out ivec2 first_pixel;     // and its first pixel in the frame
+#if VIEW
+flat out ivec2 coverage_fragment;
+#endif
 flat out vec4 centre_trig;      // sine of azimuth and polar angle at the tile's centre, then both cosines
 #if MAPS
 flat out vec4 rect[MAPS];
@@ -36,7 +40,15 @@ flat out vec3 hidden_cell[AMBIENTS];
 int map_index(int i) { return i < 4 ? maps_low[i] : maps_high[i - 4]; }
 
 void main() {
-    ivec2 slot = ivec2(tile.z % atlas_columns, tile.z / atlas_columns);
+#if COVERAGE
+    int place = coverage_slot;
+#else
+    int place = tile.z;
+#endif
+    ivec2 slot = ivec2(place % atlas_columns, place / atlas_columns);
+#if VIEW
+    coverage_fragment = ivec2(coverage_slot % atlas_columns, coverage_slot / atlas_columns) * tile_fragments;
+#endif
     cell_fragment = slot * tile_fragments;
     first_pixel = tile.xy * tile_pixels;
     vec2 centre = (vec2(first_pixel) + 0.5 * float(tile_pixels)) / vec2(frame_size) * vec2(2.0, 1.0) * PI - vec2(PI, 0.0);

@@ -38,12 +38,6 @@ out vec4 radiance;
 
 #include "near_field.glsl"
 
-// Where a reflected ray ends: on the ground it is seen by the camera in another direction than it left the object.
-vec3 seen_direction(vec3 from, vec3 ray) {
-    if (has_ground == 0 || ray.y > -1e-4 || from.y <= ground_y) return ray;
-    return normalize(from + ray * ((ground_y - from.y) / ray.y));
-}
-
 // A mirror's pixel sees a patch of the frame: a few taps over it, and the small map when the patch is larger than that.
 vec3 mirror_radiance(vec3 direction, vec3 step_x, vec3 step_y) {
     float footprint = max(length(step_x), length(step_y));
@@ -100,9 +94,71 @@ vec3 dominant_direction(vec3 mirrored, vec3 normal, float roughness) {
 #endif
 }
 
-struct Surface { vec3 normal; vec3 position; vec3 color; float metallic; vec3 emissive; float roughness; vec3 lobe; vec3 nearby; };
+struct Surface { int object; vec3 normal; vec3 position; vec3 color; float metallic; vec3 emissive; float roughness; vec3 lobe; vec3 nearby; };
 
-vec3 shade(Surface s, vec3 view, vec3 reflected, vec3 step_x, vec3 step_y, vec4 visible) {
+const float ROUGH = 0.6;    // from here on a lobe sees so much at once that what is near dims it as it dims diffuse light
+
+// What a reflected ray meets. `direction`: where the camera would see it; `light` replaces a share of `hidden` of what comes from there.
+struct Reflection { vec3 direction; vec3 ratio; vec3 light; float hidden; };
+
+#if HAS_REFLECTIONS
+#include "reflections.glsl"
+#endif
+
+// Where the camera would see what a ray meets: on the ground that is another direction.
+vec3 seen_direction(vec3 from, vec3 ray) {
+    if (has_ground == 0 || ray.y > -1e-4 || from.y <= ground_y) return ray;
+    return normalize(from + ray * ((ground_y - from.y) / ray.y));
+}
+
+#if HAS_REFLECTIONS
+vec3 solid_radiance(int index, vec3 at, vec3 ray, float blur) {
+    mat3 linear = mat3(unit_from_world[index]);
+    vec3 normal = normalize(unit_normal(int(solid_kind[index].x), (unit_from_world[index] * vec4(at, 1.0)).xyz) * linear);
+    vec3 e = filtered_light(normal, irradiance_cell);
+    for (int i = 0; i < LIGHTS; ++i) e += light_irradiance[i] * max(dot(normal, light_direction[i]), 0.0);
+    vec3 onward = seen_direction(at, reflect(ray, normal));
+    vec3 sharp = textureLod(radiance_map, uv_from_direction(onward), 0.0).rgb, blurred = filtered_light(onward, solid_lobe[index]);
+    float metallic = solid_kind[index].y;
+    vec3 color = solid_color[index].rgb, f0 = mix(vec3(0.04), color, metallic);
+    return color * (1.0 - metallic) * e / PI + f0 * (solid_kind[index].z > 0.5 ? mix(sharp, e / PI, smoothstep(0.05, 0.5, blur)) : blurred);
+}
+
+Reflection reflection(Surface s, vec3 ray) {
+    bool sharp = s.roughness < ROUGH && s.metallic > 0.5;   // of others not enough is seen
+    Reflection found = Reflection(ray, sharp ? vec3(1.0) : s.nearby, vec3(0.0), 0.0);
+    float nearest = 1e9, spread = s.roughness * s.roughness;
+    if (has_ground == 1 && ray.y < -1e-4 && s.position.y > ground_y) {
+        nearest = (ground_y - s.position.y) / ray.y;
+        vec3 at = s.position + ray * nearest;
+        found.direction = normalize(at);
+        if (sharp) found.ratio = ground_ratio(at, 2.0 * spread * nearest);
+    }
+    int met = -1;
+    float met_blur = 0.0;
+    for (int i = 0; i < (sharp ? solid_count : 0); ++i) {
+        if (int(solid_color[i].a) == s.object) continue;
+        vec3 from = (unit_from_world[i] * vec4(s.position, 1.0)).xyz, along = mat3(unit_from_world[i]) * ray;
+        vec3 span = solid_span(int(solid_kind[i].x), from, along);
+        float at = span.x < span.y ? span.x : max(-dot(from, along) / dot(along, along), 0.0);
+        float blur = 2.0 * spread * at * length(along), soft = 1.0 - smoothstep(1.0 - blur, 1.0 + blur, span.z);
+        float hidden = mix(span.x < span.y && span.y > 0.0 ? 1.0 : 0.0, at > 0.0 ? soft : 0.0, clamp(8.0 * spread, 0.0, 1.0));
+        if (hidden > found.hidden && at > 0.0 && at < nearest) {
+            found.hidden = hidden;
+            if (hidden > 0.99) nearest = at;
+            met = i;
+            met_blur = spread * (1.0 + 4.0 * at * length(along));   // its own curve spreads the lobe
+            found.light = s.position + ray * at;    // the place, for now
+        }
+    }
+    for (int once = met >= 0 ? 1 : 0; once > 0; --once) found.light = solid_radiance(met, found.light, ray, met_blur);
+    return found;
+}
+#else
+Reflection reflection(Surface s, vec3 ray) { return Reflection(seen_direction(s.position, ray), s.nearby, vec3(0.0), 0.0); }
+#endif
+
+vec3 shade(Surface s, vec3 view, vec3 mirror_ray, vec3 step_x, vec3 step_y, vec4 visible) {
     float n_dot_v = clamp(dot(s.normal, view), 1e-3, 1.0);
     float alpha = max(s.roughness * s.roughness, 2e-3);
     bool mirror = s.roughness < mirror_below;
@@ -113,7 +169,8 @@ vec3 shade(Surface s, vec3 view, vec3 reflected, vec3 step_x, vec3 step_y, vec4 
     vec3 compensation = 1.0 + f0 * (1.0 / max(whole, 1e-3) - 1.0);
     vec3 reflectance = (f0 * ab.x + ab.y) * compensation;
 
-    vec3 mirrored = vec3(0.0);
+    Reflection met = reflection(s, mirror_ray);
+    vec3 reflected = met.direction, mirrored = vec3(0.0);
 #if HAS_RINGS
     for (int once = mirror ? 0 : 1; once > 0; --once) mirrored = ring_light(reflected, s.roughness);
 #elif HAS_LOBES
@@ -123,7 +180,7 @@ vec3 shade(Surface s, vec3 view, vec3 reflected, vec3 step_x, vec3 step_y, vec4 
     // a loop, because a software renderer runs both sides of an if but leaves a loop that no pixel enters
     for (int once = mirror ? 1 : 0; once > 0; --once) mirrored = mirror_radiance(reflected, step_x, step_y);
 #endif
-    vec3 glossy = reflectance * mirrored;
+    vec3 glossy = reflectance * mix(mirrored * met.ratio, met.light, met.hidden);
     vec3 e = filtered_light(s.normal, irradiance_cell) * s.nearby;
     for (int i = 0; i < LIGHTS; ++i) {
         vec3 l = light_direction[i], h = normalize(l + view);
@@ -133,7 +190,8 @@ vec3 shade(Surface s, vec3 view, vec3 reflected, vec3 step_x, vec3 step_y, vec4 
         float spread = ggx_reflection(clamp(dot(s.normal, h), 0.0, 1.0), n_dot_l, n_dot_v, widened);
         vec3 recovered = 1.0 + f0 * (1.0 / max(whole + ab.z * (widened - alpha), 1e-3) - 1.0);
         vec3 fresnel = f0 + (1.0 - f0) * (away2 * away2 * away);
-        vec3 arriving = light_irradiance[i] * (i < 4 ? n_dot_l * visible[min(i, 3)] : n_dot_l);
+        vec3 arriving = light_irradiance[i] * (n_dot_l * visible.x);
+        visible = vec4(visible.yzw, 1.0);
         e += arriving;
         // what a mirror shows of the light is in the frame already
         glossy += mirror ? vec3(0.0) : arriving * fresnel * recovered * spread;
@@ -161,6 +219,7 @@ Surface surface_at(vec3 normal_times_distance, float surface, ivec2 sample_pixel
     s.metallic = color.a;
     s.emissive = emissive.rgb;
     s.roughness = emissive.a;
+    s.object = int(texelFetch(surfaces, ivec2(2, int(surface)), 0).w);
     s.nearby = near_field(int(surface), s.position, s.normal);
     return s;
 }
@@ -200,8 +259,8 @@ void main() {
         Group group = i == 0 ? near : far;
         Surface s = surface_at(group.sample_sum.rgb / group.members, group.first.a,
                                corner + ivec2(group.first_index & 1, group.first_index >> 1), direction);
-        vec3 reflected = seen_direction(s.position, dominant_direction(reflect(direction, s.normal), s.normal, s.roughness));
-        total += group.weight * sanitize(shade(s, -direction, reflected, step_x, step_y, visible));
+        vec3 mirror_ray = dominant_direction(reflect(direction, s.normal), s.normal, s.roughness);
+        total += group.weight * sanitize(shade(s, -direction, mirror_ray, step_x, step_y, visible));
     }
     radiance = vec4(total, near.weight + far.weight);
 }
