@@ -73,7 +73,7 @@ def test_a_node_moves_its_mesh_and_a_missing_normal_is_made(tmp_path: Path) -> N
 
 @pytest.mark.parametrize(("changes", "complaint"), [
     ({"extensionsRequired": ["KHR_draco_mesh_compression"]}, "requires KHR_draco_mesh_compression"),
-    ({"nodes": [{"mesh": 7}]}, "does not have"),
+    ({"nodes": [{"mesh": 7}]}, "mesh 7 does not exist"),
     ({"nodes": [{"children": [0]}]}, "cycle"),
     ({"accessors": [{"bufferView": 0, "componentType": 5126, "count": 999, "type": "VEC3"},
                     {"bufferView": 1, "componentType": 5123, "count": 3, "type": "SCALAR"}]}, "ends outside"),
