@@ -101,8 +101,10 @@ class Animations:
 
     def _times(self, index: Any, part: str) -> NDArray[np.float32]:
         times = self._buffers.accessor(index, part, ("SCALAR",)).ravel().astype(np.float32)
-        if not (times[0] >= 0 and times[-1] <= MAX_CLIP_SECONDS and (np.diff(times) > 0).all()):
-            wrong = int(np.argmin(np.concatenate([[times[0] >= 0], np.diff(times) > 0])))
+        good = (times >= 0) & (times <= MAX_CLIP_SECONDS)
+        good[1:] &= times[1:] > times[:-1]
+        if not good.all():
+            wrong = int(good.argmin())
             raise GltfError(f"{part}: time {wrong} is {times[wrong]:g} s, expected finite times from 0 to {MAX_CLIP_SECONDS:g} s "
                             f"that increase")
         return times

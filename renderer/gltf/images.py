@@ -57,6 +57,8 @@ class Images:
                 return self._pixels(data, part)
         except (GltfError, MemoryError):
             raise
+        except Image.DecompressionBombError:
+            raise GltfError(f"{part} has more pixels than can be decoded, expected at most {MAX_TEXTURE_SIZE} on a side") from None
         except Exception as error:  # Pillow raises whatever its decoding runs into
             raise GltfError(f"{part} is not a PNG or JPEG: {printable(str(error), 200)}") from None
 

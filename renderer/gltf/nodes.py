@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from renderer.gltf.document import GltfError, item, numbers
-from renderer.hierarchy import Hierarchy, Indices, matrices, unit_quaternions
+from renderer.hierarchy import Array, Hierarchy, Indices, matrices, unit_quaternions
 
 MAX_DEPTH = 256
 
@@ -22,10 +22,9 @@ def hierarchy(document: Any) -> Hierarchy:
             if parents[child] != -1:
                 raise GltfError(f"node {child}: is a child of node {parents[child]} and of node {index}, expected one parent")
             parents[child] = index
-    translations = np.array([_vector(node.translation, [0, 0, 0], "translation", i) for i, node in enumerate(nodes)]).reshape(-1, 3)
-    rotations = np.array([_vector(node.rotation, [0, 0, 0, 1], "rotation", i) for i, node in enumerate(nodes)]).reshape(-1, 4)
-    scales = np.array([_vector(node.scale, [1, 1, 1], "scale", i) for i, node in enumerate(nodes)]).reshape(-1, 3)
-    rotations = unit_quaternions(rotations)
+    translations = _vectors(nodes, "translation", [0.0, 0.0, 0.0])
+    rotations = unit_quaternions(_vectors(nodes, "rotation", [0.0, 0.0, 0.0, 1.0]))
+    scales = _vectors(nodes, "scale", [1.0, 1.0, 1.0])
     local = matrices(translations, rotations, scales)
     for index, node in enumerate(nodes):
         if node.matrix:
@@ -34,8 +33,10 @@ def hierarchy(document: Any) -> Hierarchy:
     return Hierarchy(parents, _levels(nodes, parents), translations, rotations, scales, local)
 
 
-def _vector(values: Any, default: list[float], what: str, index: int) -> list[float]:
-    return default if values is None else numbers(values, len(default), what, f"node {index}")
+def _vectors(nodes: list[Any], what: str, default: list[float]) -> Array:
+    rows = [default if (values := getattr(node, what)) is None else numbers(values, len(default), what, f"node {index}")
+            for index, node in enumerate(nodes)]
+    return np.array(rows, dtype=np.float64).reshape(-1, len(default))
 
 
 def _levels(nodes: list[Any], parents: Indices) -> tuple[Indices, ...]:

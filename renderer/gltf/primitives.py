@@ -34,7 +34,7 @@ class Primitives:
         vertices = self._buffers.count(primitive.attributes.POSITION, f"{part} POSITION")
         corners = vertices if primitive.indices is None else self._buffers.count(primitive.indices, f"{part} indices")
         triangles = corners // 3 if mode_of(primitive) == TRIANGLES else max(corners - 2, 0)
-        return triangles, 3 * triangles if primitive.attributes.NORMAL is None else vertices
+        return triangles, max(vertices, 3 * triangles) if primitive.attributes.NORMAL is None else vertices
 
     def get(self, primitive: Any, surface: Surface, part: str) -> Geometry | None:
         """The primitive's arrays, or None if it has no triangle with an area."""
