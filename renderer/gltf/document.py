@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import math
 import struct
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pygltflib
+
+from renderer.gltf.schema import SchemaError, built
 
 MAX_FILE_BYTES = 64 << 20
 MAX_JSON_VALUES = 1_000_000
@@ -43,11 +44,13 @@ def read(path: Path) -> Any:
     except GltfError as error:
         raise GltfError(f"model {path.name!r} is not glTF 2.0: {error}") from None
     document.set_binary_blob(binary)
-    required = document.extensionsRequired or []
-    unsupported = sorted({str(name) for name in required} - SUPPORTED_EXTENSIONS)
+    return document
+
+
+def check_extensions(document: Any) -> None:
+    unsupported = sorted({str(name) for name in document.extensionsRequired or []} - SUPPORTED_EXTENSIONS)
     if unsupported:
         raise GltfError(f"model requires {printable(', '.join(unsupported), 200)}, which is not supported")
-    return document
 
 
 def _chunks(data: bytes) -> tuple[bytes, bytes | None]:
@@ -94,14 +97,9 @@ def _parsed(text: bytes) -> Any:
         if isinstance(items := content.get(name), list) and len(items) > most:
             raise GltfError(f"it has {len(items)} {name}, expected at most {most}")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            document = pygltflib.GLTF2.from_json(text.decode(), infer_missing=True)
-            for node, given in zip(document.nodes or [], content.get("nodes") or [], strict=True):
-                node.weights = given.get("weights")     # which pygltflib does not know
-            return document
-    except Exception as error:  # pygltflib raises whatever its decoding runs into
-        raise GltfError(f"a part of its JSON is of another type than expected: {printable(str(error), 200)}") from None
+        return built(pygltflib.GLTF2, content, "model")
+    except SchemaError as error:
+        raise GltfError(printable(str(error), 200)) from None
 
 
 def _no_number(text: str) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from renderer.animation import Clip
 from renderer.gltf.accessors import Buffers
 from renderer.gltf.animations import Animations, skin
-from renderer.gltf.document import GltfError, item, numbers, read
+from renderer.gltf.document import GltfError, check_extensions, item, numbers, read
 from renderer.gltf.geometry import Geometry
 from renderer.gltf.images import Images
 from renderer.gltf.materials import surface
@@ -31,6 +31,7 @@ def load(path: Path) -> Mesh:
     """Load a `.glb`, or a `.gltf` with embedded buffers. Raises GltfError."""
     document = read(path)
     try:
+        check_extensions(document)
         return _Model(document).mesh()
     except (IndexError, KeyError, TypeError, AttributeError) as error:
         raise GltfError(f"model {path.name!r} has a part of another type than expected: {error}") from None
@@ -71,21 +72,21 @@ class _Model:
     def _shown_primitives(self, node: int) -> list[tuple[Any, str]]:
         """The primitives that a node shows, without points and lines."""
         number = self._document.nodes[node].mesh
-        mesh = item(self._document.meshes, number, "mesh", f"node {node}")
-        parts = [(checked(one, part), part) for index, one in enumerate(mesh.primitives)
+        parts = [(checked(one, part), part) for index, one in enumerate(self._document.meshes[number].primitives)
                  for part in [f"mesh {number} primitive {index}"]]
         return [(one, part) for one, part in parts if mode_of(one) >= TRIANGLES]
 
     def _check_sizes(self, shown: list[int]) -> None:
-        triangles = vertices = parts = 0
+        sizes = {"triangles": 0, "vertices": 0, "parts": 0}
         for index in shown:
+            mesh = item(self._document.meshes, self._document.nodes[index].mesh, "mesh", f"node {index}")
+            sizes["parts"] += len(mesh.primitives)
+            _check(sizes)
             for one, part in self._shown_primitives(index):
-                more = self._primitives.triangles_and_vertices(one, part)
-                triangles, vertices, parts = triangles + more[0], vertices + more[1], parts + 1
-        for count, most, what in ((triangles, MAX_TRIANGLES, "triangles"), (vertices, MAX_VERTICES, "vertices"),
-                                  (parts, MAX_PARTS, "parts")):
-            if count > most:
-                raise GltfError(f"model has {count} {what}, expected at most {most}")
+                triangles, vertices = self._primitives.triangles_and_vertices(one, part)
+                sizes["triangles"] += triangles
+                sizes["vertices"] += vertices
+                _check(sizes)
 
     def _note_morph_weights(self, node: int) -> None:
         parts = self._shown_primitives(node)
@@ -169,3 +170,9 @@ class _Model:
         used = np.unique(np.concatenate([one.influence.indices for one in deformers.values()]))
         own = {index: replace(one, influence=one.influence[:, used]) for index, one in deformers.items()}
         return Rig(self._tree.only(self._tree.ancestors(nodes[used])), nodes[used], binds[used], self._weights, own, clips)
+
+
+def _check(sizes: dict[str, int]) -> None:
+    for what, most in (("triangles", MAX_TRIANGLES), ("vertices", MAX_VERTICES), ("parts", MAX_PARTS)):
+        if sizes[what] > most:
+            raise GltfError(f"model has {sizes[what]} {what} or more, expected at most {most}")

@@ -33,11 +33,11 @@ def refused(folder: Path, data: bytes, complaint: str) -> None:
     ({"nodes": [{"children": [0]}]}, "node 0: is in a cycle"),
     ({"nodes": [{"children": [1, 2]}, {"children": [2]}, {}]}, "node 2: is a child of node 0 and of node 1, expected one parent"),
     ({"nodes": [{"children": [1, 1]}, {}]}, "node 1: is a child of node 0 and of node 0"),
-    ({"nodes": [{"mesh": 0, "scale": [1, 1]}]}, r"node 0: scale is \[1.0, 1.0\], expected 3 numbers"),
+    ({"nodes": [{"mesh": 0, "scale": [1, 1]}]}, r"node 0: scale is \[1, 1\], expected 3 numbers"),
     ({"nodes": [{"mesh": 0, "matrix": [1] * 15}]}, "node 0: matrix"),
     ({"nodes": [{"mesh": 0, "translation": [1e300, 0, 0]}, {"children": [0], "scale": [1e9] * 3}]}, "positions in the scene reach"),
     ({"accessors": [{**POSITIONS, "count": 999}, INDICES]}, "mesh 0 primitive 0 POSITION: accessor 0 has 999 .* ends outside"),
-    ({"accessors": [{**POSITIONS, "count": 10**9}, INDICES]}, "model has 1000000000 vertices, expected at most 1500000"),
+    ({"accessors": [{**POSITIONS, "count": 10**9}, INDICES]}, "model has 1000000000 vertices or more, expected at most 1500000"),
     ({"accessors": [{"componentType": 5126, "count": 10**9, "type": "VEC3"}, INDICES]}, "model has 1000000000 vertices"),
     ({"accessors": [POSITIONS, {"componentType": 5123, "count": 10**9, "type": "SCALAR"}]}, "model has 333333333 triangles"),
     ({"accessors": [{**POSITIONS, "count": 0}, INDICES]}, "accessor 0 has 0 elements"),
@@ -103,11 +103,11 @@ def test_triangles_vertices_and_parts_are_bounded_before_they_are_read(tmp_path:
     big = one_triangle()
     big.json["accessors"].append({"componentType": 5123, "count": 3 * primitives.MAX_TRIANGLES + 3, "type": "SCALAR"})
     big.json["meshes"][0]["primitives"][0]["indices"] = 1
-    refused(tmp_path, big.bytes(), "model has 500001 triangles, expected at most 500000")
+    refused(tmp_path, big.bytes(), "model has 500001 triangles or more, expected at most 500000")
     big.json["accessors"][1]["count"] = 30_000
     big.json["nodes"] = [{"mesh": 0} for _ in range(51)]
     big.json["scenes"] = [{"nodes": list(range(51))}]
-    refused(tmp_path, big.bytes(), "model has 510000 triangles, expected at most 500000")
+    refused(tmp_path, big.bytes(), "model has 510000 triangles or more, expected at most 500000")
 
 
 def test_vertices_that_move_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

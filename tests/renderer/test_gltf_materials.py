@@ -124,8 +124,8 @@ def with_emission(texture: Any, **members: Any) -> Model:
     (with_emission({"index": 0}, textures=[{"source": 0}], images=[{"bufferView": 0}]), "image 0 is not a PNG or JPEG"),
     (with_emission({"index": 0, "texCoord": 2}, textures=[{"source": 0}], images=[{"bufferView": 0}]), "image 0"),
     (one_triangle({"alphaMode": "GLASS"}), "material 0: alphaMode is 'GLASS', expected OPAQUE, MASK or BLEND"),
-    (one_triangle({"emissiveFactor": [1, 2]}), r"material 0: emissiveFactor is \[1.0, 2.0\], expected 3 numbers"),
-    (one_triangle({"emissiveFactor": [1, 2, None]}), "another type than expected"),
+    (one_triangle({"emissiveFactor": [1, 2]}), r"material 0: emissiveFactor is \[1, 2\], expected 3 numbers"),
+    (one_triangle({"emissiveFactor": [1, 2, None]}), "emissiveFactor is .*, expected finite numbers"),
     (one_triangle({"extensions": {"KHR_materials_clearcoat": 1}}), "KHR_materials_clearcoat is 1, expected an object")])
 def test_a_broken_material_is_refused_by_part(tmp_path: Path, model: Model, complaint: str) -> None:
     with pytest.raises(GltfError, match=complaint):
