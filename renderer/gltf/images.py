@@ -7,7 +7,7 @@ import warnings
 from typing import Any
 
 import numpy as np
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from renderer.gltf.accessors import Buffers, data_uri
 from renderer.gltf.document import GltfError, item, printable
@@ -57,10 +57,12 @@ class Images:
                 return self._pixels(data, part)
         except (GltfError, MemoryError):
             raise
+        except UnidentifiedImageError:
+            raise GltfError(f"{part} is not a PNG or JPEG") from None
         except Image.DecompressionBombError:
             raise GltfError(f"{part} has more pixels than can be decoded, expected at most {MAX_TEXTURE_SIZE} on a side") from None
         except Exception as error:  # Pillow raises whatever its decoding runs into
-            raise GltfError(f"{part} is not a PNG or JPEG: {printable(str(error), 200)}") from None
+            raise GltfError(f"{part} cannot be decoded: {printable(str(error), 200)}") from None
 
     def _pixels(self, data: bytes | memoryview, part: str) -> Texture:
         with Image.open(io.BytesIO(data), formats=("PNG", "JPEG")) as picture:
