@@ -10,7 +10,7 @@ from conftest import Served, wait_for
 from test_rest_scene import assert_problem
 
 from server.assets import MAX_ASSET_BYTES
-from tests.models import glb, one_triangle, triangle
+from tests.models import bent_bar, glb, one_triangle, triangle
 
 ASSETS = "/api/assets"
 OBJECTS = "/api/streams/live/objects"
@@ -49,6 +49,17 @@ def test_asset_life(client: httpx.Client) -> None:
     assert client.delete(f"{ASSETS}/flag").status_code == 204
     assert_problem(client.delete(f"{ASSETS}/flag"), 404, "no asset 'flag'")
     assert_problem(client.post(OBJECTS, json={"mesh": "asset:flag"}), 422, "'asset:flag' is no asset")
+
+
+@pytest.mark.usefixtures("no_assets")
+def test_the_clips_of_a_model_are_listed(served: Served, client: httpx.Client) -> None:
+    created = client.post(ASSETS, content=bent_bar().bytes(), headers=GLB_TYPE, params={"name": "bar"}).json()
+    assert created["clips"] == [{"name": "bend", "seconds": 1.0}]
+    assert client.get(ASSETS).json() == [created]
+    (served.assets_dir / "bar.json").write_text("broken")       # what is not there is not told
+    assert client.get(ASSETS).json() == [{"name": "bar", "mesh": "asset:bar", "bytes": created["bytes"]}]
+    client.delete(f"{ASSETS}/bar")
+    assert list(served.assets_dir.iterdir()) == []
 
 
 @pytest.mark.usefixtures("no_assets")
