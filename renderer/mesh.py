@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from renderer.proxy import Points, Triangles, outermost, outline, simplified, welded
+from renderer.proxy import Points, Triangles, outline, simplified, thinned, welded
 from renderer.skeleton import Pose, Posed, Rig
 
 Texture = NDArray[np.uint8]
@@ -147,8 +147,8 @@ class Mesh:
         return points + self._displacements(pose)[self._next_vertices[fine]]
 
     def posed_outline(self, pose: Pose) -> Points:
-        """(n, 3) points whose projections bound the mesh's projection in a pose, but for a few percent of its size."""
-        return outline(outermost(np.concatenate([part.positions for part in pose.primitives])))
+        """(n, 3) points whose projections bound the mesh's projection in a pose; of many vertices, that of some."""
+        return outline(thinned(np.concatenate([part.positions for part in pose.primitives])))
 
     def _displacements(self, pose: Pose) -> Points:
         return np.concatenate([np.zeros_like(rest.positions) if part is rest else part.positions - rest.positions

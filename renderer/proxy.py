@@ -10,8 +10,7 @@ from scipy.spatial import ConvexHull, QhullError
 Points = NDArray[np.float32]
 Triangles = NDArray[np.int32]
 _OUTLINE_STEPS = 4
-_MAX_HULL_POINTS = 512
-_DIRECTIONS = 256
+_MAX_HULL_POINTS = 2048
 
 
 def welded(parts: list[tuple[Points, Triangles]]) -> tuple[Points, Triangles]:
@@ -67,17 +66,6 @@ def outline(points: Points) -> Points:
     return np.concatenate([corners, between]).astype(np.float32)
 
 
-def outermost(points: Points) -> Points:
-    """The points that lie farthest in one of many directions, so that a hull is quick to make; few points as they are."""
-    if len(points) <= _MAX_HULL_POINTS:
-        return points
-    return np.asarray(points[np.unique((points @ _spread_directions().T).argmax(axis=0))])
-
-
-def _spread_directions() -> Points:
-    """(d, 3) directions of a Fibonacci lattice and the axes."""
-    index = np.arange(_DIRECTIONS) + 0.5
-    y, angle = 1 - 2 * index / _DIRECTIONS, index * np.pi * (3 - np.sqrt(5))
-    radius = np.sqrt(1 - y * y)
-    lattice = np.stack([radius * np.cos(angle), y, radius * np.sin(angle)], axis=1)
-    return np.concatenate([lattice, np.eye(3), -np.eye(3)]).astype(np.float32)
+def thinned(points: Points) -> Points:
+    """Some of the points, evenly through their order, so few that a hull is quick to make."""
+    return points[::-(-len(points) // _MAX_HULL_POINTS)]
