@@ -14,22 +14,26 @@ _MAX_HULL_POINTS = 2048
 
 
 def welded(parts: list[tuple[Points, Triangles]]) -> tuple[Points, Triangles]:
-    """All parts as one surface whose equal positions are one vertex, without degenerate triangles."""
+    """All parts as one surface whose equal positions are one vertex, without degenerate triangles unless all are."""
     offsets = np.cumsum([0] + [len(points) for points, _ in parts[:-1]])
     points = np.concatenate([points for points, _ in parts])
     triangles = np.concatenate([part + offset for (_, part), offset in zip(parts, offsets, strict=True)])
     unique, inverse = np.unique(points, axis=0, return_inverse=True)
     triangles = inverse.reshape(-1)[triangles]
     a, b, c = triangles.T
-    return unique, triangles[(a != b) & (b != c) & (c != a)].astype(np.int32)
+    proper = (a != b) & (b != c) & (c != a)
+    return unique, triangles[proper if proper.any() else slice(None)].astype(np.int32)
 
 
 def simplified(points: Points, triangles: Triangles, most: int) -> tuple[Points, Triangles]:
-    """A surface of at most `most` triangles near a welded one."""
+    """A surface of at least one and at most `most` triangles near a welded one."""
+    given = points, triangles
     if len(triangles) > most:
         points, triangles = fast_simplification.simplify(points, triangles, target_count=most)
     if len(triangles) > most:  # many loose parts, which edge collapse cannot join
         points, triangles = _clustered(points, triangles, most)
+    if not len(triangles):     # many parts in one place, of which it leaves nothing
+        points, triangles = given[0], given[1][:most]
     return np.asarray(points, dtype=np.float32), np.asarray(triangles, dtype=np.int32)
 
 

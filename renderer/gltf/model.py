@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from renderer.animation import Clip
 from renderer.gltf.accessors import Buffers
@@ -50,7 +51,7 @@ class _Model:
         # Rigid nodes are joints of their own, in the first places of the palette.
         self._palette: list[tuple[Indices, Array]] = [
             (np.arange(len(self._world)), np.tile(np.eye(4), (len(self._world), 1, 1)))]
-        self._skins: dict[int, tuple[int, Indices, Array]] = {}
+        self._skins: dict[int, tuple[int, Indices, NDArray[np.bool_]]] = {}
         self._weights: dict[int, Array] = {}
         self._moving = np.zeros(len(self._world), dtype=bool)
         self._morphing: set[int] = set()
@@ -125,18 +126,17 @@ class _Model:
             rigid = np.full((len(geometry.positions), 1), node)
             mirrored = bool(np.linalg.det(self._world[node, :3, :3]) < 0)
             return Part(geometry, node, rigid, np.ones(rigid.shape, np.float32), mirrored), bool(self._moving[node])
-        first, joints, binds = self._skin(self._document.nodes[node].skin, f"node {node}")
+        first, joints, joint_mirrored = self._skin(self._document.nodes[node].skin, f"node {node}")
         own = np.where(geometry.weights > 0, geometry.joints, 0)
         if own.max() >= len(joints):
             raise GltfError(f"{name}: joint {own.max()}, expected less than the {len(joints)} of skin "
                             f"{self._document.nodes[node].skin}")
         heaviest = np.take_along_axis(own, geometry.weights.argmax(axis=1)[:, None], axis=1)
-        mirrored = np.linalg.det((self._world[joints] @ binds)[:, :3, :3])[heaviest] < 0
-        return (Part(geometry, node, own + first, geometry.weights, bool(mirrored.mean() > 0.5)),
+        return (Part(geometry, node, own + first, geometry.weights, bool(joint_mirrored[heaviest].mean() > 0.5)),
                 bool(self._moving[joints[np.unique(own)]].any()))
 
-    def _skin(self, index: Any, part: str) -> tuple[int, Indices, Array]:
-        """Where a skin's joints begin in the palette, its joints and its inverse bind matrices."""
+    def _skin(self, index: Any, part: str) -> tuple[int, Indices, NDArray[np.bool_]]:
+        """Where a skin's joints begin in the palette, the joints, and which of them mirror what follows them."""
         if index not in self._skins:
             joints, binds = skin(self._document, index, self._buffers, part)
             first = sum(len(nodes) for nodes, _ in self._palette)
@@ -144,7 +144,7 @@ class _Model:
                 raise GltfError(f"skin {index}: with it the model has {first + len(joints)} nodes and joints, expected at most "
                                 f"{MAX_PALETTE}")
             self._palette.append((joints, binds))
-            self._skins[index] = (first, joints, binds)
+            self._skins[index] = (first, joints, np.linalg.det((self._world[joints] @ binds)[:, :3, :3]) < 0)
         return self._skins[index]
 
     def _assembled(self, groups: dict[tuple[int | None, bool], list[Part]], clips: tuple[Clip, ...]) -> Mesh:

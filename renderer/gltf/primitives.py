@@ -16,6 +16,7 @@ from renderer.skeleton import MAX_COORDINATE, Array32
 
 MAX_TRIANGLES = 500_000
 MAX_VERTICES = 3 * MAX_TRIANGLES
+MAX_TARGETS = 512
 MAX_MORPHED_VERTICES = 4_000_000    # times their targets
 TRIANGLES, STRIP, FAN = 4, 5, 6
 _UV_LIMIT = 1e6
@@ -175,13 +176,15 @@ def mode_of(primitive: Any) -> int:
 
 
 def checked(primitive: Any, part: str) -> Any:
-    """The primitive, if its geometry is in accessors."""
+    """The primitive, if its geometry is in accessors and can be read."""
     if extension(primitive, "KHR_draco_mesh_compression", part) is not None:
         raise GltfError(f"{part}: KHR_draco_mesh_compression is not supported")
     if getattr(primitive.attributes, "POSITION", None) is None:
         raise GltfError(f"{part}: has no POSITION")
     if primitive.mode is not None and (type(primitive.mode) is not int or not 0 <= primitive.mode <= FAN):
         raise GltfError(f"{part}: mode is {shown(primitive.mode)}, expected 0 to {FAN}")
+    if len(primitive.targets or []) > MAX_TARGETS:
+        raise GltfError(f"{part}: has {len(primitive.targets)} morph targets, expected at most {MAX_TARGETS}")
     return primitive
 
 

@@ -120,11 +120,11 @@ def change_json(document: Any, dice: random.Random) -> None:
         holder[key] = dice.choice(NUMBERS[:12] if dice.random() < 0.7 else NUMBERS)
 
 
-def containers(value: Any) -> Iterator[Any]:
-    if isinstance(value, (dict, list)):
+def containers(value: Any, depth: int = 0) -> Iterator[Any]:
+    if isinstance(value, (dict, list)) and depth < 50:
         yield value
         for inner in value.values() if isinstance(value, dict) else value:
-            yield from containers(inner)
+            yield from containers(inner, depth + 1)
 
 
 def changed_bytes(data: bytes, dice: random.Random, words: bytes) -> bytes:
@@ -151,6 +151,8 @@ def use(mesh: Mesh) -> None:
         arrays += [mesh.posed_proxy(pose), mesh.posed_proxy(pose, fine=True), mesh.posed_outline(pose)]
     if not all(np.isfinite(array).all() for array in arrays):
         raise AssertionError("a mesh has values that are not finite")
+    if not all(0 < len(proxy[1]) <= most for proxy, most in ((mesh.proxy, 128), (mesh.fine_proxy, 500))):
+        raise AssertionError("a proxy has no triangles, or too many")
     if not all(part.triangles.max() < len(part.positions) for part in mesh.primitives):
         raise AssertionError("a mesh has triangles without vertices")
 

@@ -122,6 +122,12 @@ def test_morph_targets_are_bounded_before_they_are_read(tmp_path: Path, monkeypa
     refused(tmp_path, many.bytes(), "4 morph targets of 3 vertices, with them 12 vertices are morphed, expected at most 10")
 
 
+def test_the_number_of_morph_targets_is_bounded(tmp_path: Path) -> None:
+    many = one_triangle()
+    many.json["meshes"][0]["primitives"][0]["targets"] = [{}] * 513
+    refused(tmp_path, many.bytes(), "mesh 0 primitive 0: has 513 morph targets, expected at most 512")
+
+
 def test_a_hierarchy_is_at_most_256_deep(tmp_path: Path) -> None:
     deep = one_triangle()
     deep.json["nodes"] = [*({"children": [index + 1]} for index in range(256)), {"mesh": 0}]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from renderer.gltf import GltfError, load, transform
-from renderer.mesh import BUILT_IN, MAX_PROXY_TRIANGLES
+from renderer.mesh import BUILT_IN, MAX_PROXY_TRIANGLES, Mesh, Primitive
 from renderer.mesh_library import MeshLibrary
 from tests.models import CORNERS, one_triangle, triangle
 
@@ -93,6 +94,13 @@ def test_nodes_outside_the_scene_are_not_shown_and_matrices_are_in_column_order(
     model.json.update(nodes=[{"mesh": 0, "matrix": matrix.T.ravel().tolist()}, {"mesh": 0}])
     (primitive,) = model.load(tmp_path).primitives
     assert primitive.positions == pytest.approx(CORNERS + np.array([1, 2, 3]))
+
+
+def test_a_mesh_of_parts_in_one_place_has_a_proxy() -> None:
+    part = Primitive(CORNERS, CORNERS, CORNERS[:, :2], np.tile(np.array([[0, 1, 2], [0, 2, 1]], "i4"), (400, 1)))
+    for mesh in (Mesh((part,)), Mesh((replace(part, positions=CORNERS * 0),))):
+        assert 0 < len(mesh.proxy[1]) <= 128
+        assert np.isfinite(mesh.outline).all()
 
 
 def test_the_proxies_are_few_triangles_of_the_same_size() -> None:
