@@ -101,7 +101,7 @@ def with_tangents(geometry: Geometry, mapping: TextureMapping) -> Geometry:
     tangents = sums[0] - normals * np.einsum("ij,ij->i", normals, sums[0])[:, None]
     length = np.linalg.norm(tangents, axis=1, keepdims=True)
     tangents = np.where(length > 1e-6, tangents / np.maximum(length, 1e-6), _any_orthogonal(normals))
-    handedness = np.where(np.einsum("ij,ij->i", np.cross(normals, tangents), sums[1]) < 0, 1.0, -1.0)
+    handedness = np.where(np.einsum("ij,ij->i", np.cross(normals, tangents), sums[1]) > 0, -1.0, 1.0)
     return replace(geometry, tangents=np.concatenate([tangents, handedness[:, None]], axis=1).astype(np.float32))
 
 
