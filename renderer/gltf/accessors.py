@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from renderer.gltf.document import GltfError, item, shown, whole
 
 MAX_VALUES = 48 << 20       # numbers in all accessors of a model
+MAX_STRIDE = 252            # as glTF says
 _COMPONENTS = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _INDEX_TYPES = (5121, 5123, 5125)
@@ -34,7 +35,10 @@ class Buffers:
         start, length = whole(view.byteOffset, "byteOffset", where, 0), whole(view.byteLength, "byteLength", where)
         if start + length > len(data):
             raise GltfError(f"{where} has bytes {start} to {start + length}, it ends outside its buffer of {len(data)}")
-        return memoryview(data)[start:start + length], whole(view.byteStride, "byteStride", where, 0)
+        stride = whole(view.byteStride, "byteStride", where, 0)
+        if stride > MAX_STRIDE:
+            raise GltfError(f"{where} has byteStride {shown(stride)}, expected at most {MAX_STRIDE}")
+        return memoryview(data)[start:start + length], stride
 
     def _buffer(self, index: Any, part: str) -> bytes:
         buffer = item(self._document.buffers, index, "buffer", part)

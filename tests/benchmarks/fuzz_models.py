@@ -61,6 +61,8 @@ def full_bar() -> Model:
         "materials", pbrMetallicRoughness={"baseColorTexture": info, "metallicRoughnessTexture": photo}, emissiveTexture=photo,
         normalTexture={**info, "texCoord": 1, "scale": 2}, occlusionTexture={**info, "strength": 0.5}, alphaMode="MASK",
         extensions={"KHR_materials_clearcoat": {"clearcoatFactor": 1}, "KHR_materials_unlit": {}})
+    for view in model.json["bufferViews"][:2]:      # positions and normals
+        view["byteStride"] = 12
     model.json["samplers"] = [{"wrapS": 33071, "wrapT": 33648}]
     model.json["meshes"][0]["primitives"][0].update(targets=targets, material=material)
     model.json["meshes"][0]["weights"] = [0.1, 0.2]

@@ -47,6 +47,7 @@ def refused(folder: Path, data: bytes, complaint: str) -> None:
     ({"accessors": [POSITIONS, {**INDICES, "componentType": 5122}]}, "indices are int16, expected unsigned"),
     ({"bufferViews": [{"buffer": 0, "byteLength": 3600}, {"buffer": 0, "byteLength": 6}]}, "buffer view 0 .* ends outside"),
     ({"bufferViews": [{"buffer": 0, "byteLength": 36, "byteStride": 1}, {"buffer": 0, "byteLength": 6}]}, "12 bytes every 1"),
+    ({"bufferViews": [{"buffer": 0, "byteLength": 36, "byteStride": 1 << 63}, {"buffer": 0, "byteLength": 6}]}, "at most 252"),
     ({"buffers": [{"byteLength": 44, "uri": "../../etc/passwd"}]}, "buffer 0: uri '../../etc/passwd' leads outside the file"),
     ({"buffers": [{"byteLength": 4400}]}, "buffer 0 names 4400 bytes, it has 44"),
     ({"meshes": [{"primitives": [{"attributes": {}, "indices": 1}]}]}, "mesh 0 primitive 0: has no POSITION"),
