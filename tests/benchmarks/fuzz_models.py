@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import collections
 import io
+import itertools
 import json
 import multiprocessing
 import random
@@ -113,11 +114,11 @@ def change_json(document: Any, dice: random.Random) -> None:
     if action == 0:
         del holder[key]
     elif action == 1 and isinstance(holder, list):
-        holder.extend(holder[:1] * dice.choice((1, 3, 300)))
+        holder.extend(json.loads(json.dumps(holder[:1] * dice.choice((1, 3, 300)))))
     elif action == 2:
         holder[key] = json.loads(json.dumps(dice.choice(holders)))
     elif action == 3 or not isinstance(value, (int, float)):
-        holder[key] = dice.choice(VALUES)
+        holder[key] = json.loads(json.dumps(dice.choice(VALUES)))
     else:
         holder[key] = dice.choice(NUMBERS[:12] if dice.random() < 0.7 else NUMBERS)
 
@@ -159,32 +160,28 @@ def use(mesh: Mesh) -> None:
         raise AssertionError("a mesh has triangles without vertices")
 
 
-def work(pipe: Connection, seed: int, first: int) -> None:
+def work(pipe: Connection, path: Path, seed: int, first: int) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     warnings.simplefilter("error")
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "case.glb"
-        number = first
-        while True:
-            path.write_bytes(case(seed, number))
-            pipe.send(("begin", number, ""))
-            try:
-                use(load(path))
-                pipe.send(("loaded", number, ""))
-            except GltfError:
-                pipe.send(("refused", number, ""))
-            except BaseException:
-                pipe.send(("failed", number, traceback.format_exc()))
-            number += 1
+    for number in itertools.count(first):
+        path.write_bytes(case(seed, number))
+        pipe.send(("begin", number, ""))
+        try:
+            use(load(path))
+            pipe.send(("loaded", number, ""))
+        except GltfError:
+            pipe.send(("refused", number, ""))
+        except BaseException:
+            pipe.send(("failed", number, traceback.format_exc()))
 
 
-def fuzz(seconds: float, seed: int) -> collections.Counter[str]:
-    """Run cases for a while. Returns how many had which outcome."""
+def fuzz(seconds: float, seed: int, path: Path) -> collections.Counter[str]:
+    """Run cases for a while, each written to `path`. Returns how many had which outcome."""
     counts: collections.Counter[str] = collections.Counter()
     end, number = time.monotonic() + seconds, 0
     while time.monotonic() < end:
         pipe, other = multiprocessing.Pipe(duplex=False)
-        worker = multiprocessing.Process(target=work, args=(other, seed, number), daemon=True)
+        worker = multiprocessing.Process(target=work, args=(other, path, seed, number), daemon=True)
         worker.start()
         other.close()
         outcome, complaint = "begin", ""
@@ -217,7 +214,8 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=secrets.randbelow(1 << 32))
     options = parser.parse_args()
     print(f"seed {options.seed}, {options.seconds:g} s", flush=True)
-    counts = fuzz(options.seconds, options.seed)
+    with tempfile.TemporaryDirectory() as folder:
+        counts = fuzz(options.seconds, options.seed, Path(folder) / "case.glb")
     failures = counts["failed"] + counts["hung"] + counts["died"]
     print(f"{counts['loaded'] + counts['refused'] + failures} cases: {counts['loaded']} loaded, {counts['refused']} refused, "
           f"{counts['failed']} failed, {counts['hung']} hung, {counts['died']} died; failures are in {FOLDER}")
