@@ -6,7 +6,7 @@ ARGS ?=
 PYTEST_ARGS ?=
 MAPS ?=
 
-.PHONY: help demo test lint check-python check-web e2e bench bench-light bench-truth setup setup-test setup-truth lock clean
+.PHONY: help demo test lint check-python check-web e2e bench bench-light bench-truth fuzz setup setup-test setup-truth lock clean
 
 help: ## show the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 16
@@ -62,6 +62,9 @@ bench: setup ## what each stage of the frame path costs; ARGS="--quick --json FI
 
 bench-light: setup ## the light stages against their references; MAPS=FOLDER measures its radiance maps too, CLIPS=FOLDER its clips
 	$(BIN)/python -m server.bench.light $(if $(MAPS),--maps $(MAPS)) $(if $(CLIPS),--clips $(CLIPS)) $(ARGS)
+
+fuzz: setup-test ## broken models for ten minutes; ARGS="--seconds 60 --seed 1"
+	$(BIN)/python -m tests.benchmarks.fuzz_models $(ARGS)
 
 lock: setup-test ## resolve the dependencies of pyproject.toml anew
 	$(BIN)/python -m pip install --quiet uv

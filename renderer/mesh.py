@@ -1,4 +1,4 @@
-"""Triangle meshes as arrays, the built-in ones, and what is derived once at load: shadow proxy and outline.
+"""Triangle meshes as arrays, what is derived once from them, and the built-in ones.
 
 Metres, +Y up. `sphere` has diameter 1, `box` edge 1, `cylinder` diameter 1 and height 1 along Y, each centred on its
 origin; `teapot` stands on y = 0 and is 1 high.
@@ -9,118 +9,155 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Literal
 
-import fast_simplification
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import cKDTree
 
-Points = NDArray[np.float32]
-Triangles = NDArray[np.int32]
+from renderer.proxy import Points, Triangles, outline, simplified, thinned, welded
+from renderer.skeleton import Pose, Posed, Rig
+
+Texture = NDArray[np.uint8]
+Wrap = Literal["repeat", "mirror", "clamp"]
+Slot = Literal["base_color", "metallic_roughness", "normal", "occlusion", "emissive"]
 MAX_PROXY_TRIANGLES = 128
 MAX_FINE_TRIANGLES = 500
-_OUTLINE_STEPS = 4
+
+
+@dataclass(frozen=True)
+class TextureMapping:
+    """Where a texture is read: `matrix` (2 x 3) times (u, v, 1) of `Primitive.uvs` (set 0) or `Primitive.uvs2` (set 1)."""
+
+    uv_set: int = 0
+    matrix: tuple[tuple[float, float, float], tuple[float, float, float]] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
+    nearest: bool = False
 
 
 @dataclass(frozen=True)
 class Surface:
-    """glTF metallic-roughness of one primitive. Textures are (height, width, 4) uint8 or None."""
+    """glTF metallic-roughness of one primitive. Textures are (height, width, 4) uint8 or None.
+
+    Base colour and emission are sRGB in textures and linear in factors; occlusion is R, roughness G, metallic B. A slot that
+    is not in `mappings` has the default one. `alpha_cutoff` is None unless `alpha_mode` is 'mask'.
+    """
 
     base_color: tuple[float, float, float, float] = (0.8, 0.8, 0.8, 1.0)
     metallic: float = 0.0
     roughness: float = 0.5
     emissive: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    base_color_texture: NDArray[np.uint8] | None = None
-    metallic_roughness_texture: NDArray[np.uint8] | None = None
-    emissive_texture: NDArray[np.uint8] | None = None
+    base_color_texture: Texture | None = None
+    metallic_roughness_texture: Texture | None = None
+    emissive_texture: Texture | None = None
     double_sided: bool = False
     alpha_cutoff: float | None = None
+    normal_texture: Texture | None = None
+    normal_scale: float = 1.0
+    occlusion_texture: Texture | None = None
+    occlusion_strength: float = 1.0
+    alpha_mode: Literal["opaque", "mask", "blend"] = "opaque"
+    unlit: bool = False
+    clearcoat: float = 0.0
+    clearcoat_roughness: float = 0.0
+    mappings: dict[Slot, TextureMapping] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Primitive:
-    """(n, 3) positions and unit normals, (n, 2) texture coordinates, (m, 3) triangles, one surface."""
+    """(n, 3) positions and unit normals, (n, 2) texture coordinates, (m, 3) triangles, one surface.
+
+    `tangents` (n, 4), w the sign of the bitangent, where the surface has a normal map; `colors` (n, 4) linear factors of the
+    base colour, if any; `uvs2` (n, 2) where a mapping reads set 1.
+    """
 
     positions: Points
     normals: Points
     uvs: Points
     triangles: Triangles
     surface: Surface = field(default_factory=Surface)
+    tangents: Points | None = None
+    colors: Points | None = None
+    uvs2: Points | None = None
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """What an object looks like, in its own coordinates."""
+    """What an object looks like, in its own coordinates, and how it moves; its arrays are those at rest."""
 
     primitives: tuple[Primitive, ...]
+    rig: Rig | None = None
 
     @property
     def triangle_count(self) -> int:
         return sum(len(p.triangles) for p in self.primitives)
 
+    @property
+    def is_animated(self) -> bool:
+        """Whether a clip moves any part of it."""
+        return self.rig is not None
+
+    @property
+    def clips(self) -> tuple[str, ...]:
+        return tuple(clip.name for clip in self.rig.clips) if self.rig else ()
+
+    def clip_seconds(self, name: str) -> float:
+        """The length of a clip. Raises ValueError, which lists the clips, for a name that is none of them."""
+        return self._rig(name).clip(name).seconds
+
+    def pose(self, clip: str | None, seconds: float = 0.0, loop: bool = True) -> Pose:
+        """The mesh at one moment of a clip; at rest with None. A clip that does not loop stays at its first and last moment.
+
+        Raises ValueError, which lists the clips, for a name that is none of them, and for a time that is not finite.
+        """
+        if clip is None:
+            return self._rest
+        rig = self._rig(clip)
+        moved = rig.posed(rig.clip(clip), seconds, loop)
+        return Pose(tuple(moved.get(index, rest) for index, rest in enumerate(self._rest.primitives)))
+
+    def _rig(self, clip: str) -> Rig:
+        if self.rig is None:
+            raise ValueError(f"clip {clip!r} does not exist, the model has none")
+        return self.rig
+
     @cached_property
-    def proxy(self) -> tuple[Points, Triangles]:
-        """(n, 3) points and (m <= 128, 3) triangles that cast the shadow in place of the mesh."""
-        return _simplified(self, MAX_PROXY_TRIANGLES)
+    def _rest(self) -> Pose:
+        return Pose(tuple(Posed(p.positions, p.normals, p.tangents) for p in self.primitives))
 
     @cached_property
     def fine_proxy(self) -> tuple[Points, Triangles]:
-        """The same with up to 500 triangles, for shadows whose edge is sharp enough to show them."""
-        return _simplified(self, MAX_FINE_TRIANGLES)
+        """(n, 3) points and (m <= 500, 3) triangles in place of the mesh: for collisions, and for shadows whose edge is sharp
+        enough to show them."""
+        return simplified(*welded([(p.positions, p.triangles) for p in self.primitives]), MAX_FINE_TRIANGLES)
+
+    @cached_property
+    def proxy(self) -> tuple[Points, Triangles]:
+        """The same with up to 128 triangles, for all other shadows."""
+        return simplified(*welded([self.fine_proxy]), MAX_PROXY_TRIANGLES)
 
     @cached_property
     def outline(self) -> Points:
-        """(n, 3) points whose projections bound the mesh's projection: the hull's corners and points on its edges."""
-        points = self.proxy[0] if self.triangle_count > 50_000 else np.concatenate([p.positions for p in self.primitives])
-        try:
-            hull = ConvexHull(points.astype(np.float64))
-        except (QhullError, ValueError):  # flat or degenerate
-            low, high = points.min(axis=0), points.max(axis=0)
-            corners = np.array([[(low, high)[i >> a & 1][a] for a in range(3)] for i in range(8)])
-            return corners.astype(np.float32)
-        corners = points[hull.vertices]
-        edges = np.unique(np.sort(np.concatenate([hull.simplices[:, [0, 1]], hull.simplices[:, [1, 2]],
-                                                  hull.simplices[:, [2, 0]]]), axis=1), axis=0)
-        start, end = points[edges[:, 0]], points[edges[:, 1]]
-        size = float(np.linalg.norm(np.ptp(points, axis=0)))
-        long_edge = np.linalg.norm(end - start, axis=1) > 0.1 * size
-        steps = np.linspace(0, 1, _OUTLINE_STEPS + 1)[1:-1, None, None]
-        between = (start[long_edge] * (1 - steps) + end[long_edge] * steps).reshape(-1, 3)
-        return np.concatenate([corners, between]).astype(np.float32)
+        """(n, 3) points whose projections bound the mesh's projection."""
+        return outline(self.proxy[0] if self.triangle_count > 50_000 else np.concatenate([p.positions for p in self.primitives]))
 
+    def posed_proxy(self, pose: Pose, fine: bool = False) -> Points:
+        """(n, 3) points of `proxy`, or of `fine_proxy`, in a pose: each moves as the vertex next to it at rest."""
+        points = (self.fine_proxy if fine else self.proxy)[0]
+        return points + self._displacements(pose)[self._next_vertices[fine]]
 
-def welded(mesh: Mesh) -> tuple[Points, Triangles]:
-    """All primitives as one surface whose equal positions are one vertex, without degenerate triangles."""
-    offsets = np.cumsum([0] + [len(p.positions) for p in mesh.primitives[:-1]])
-    points = np.concatenate([p.positions for p in mesh.primitives])
-    triangles = np.concatenate([p.triangles + o for p, o in zip(mesh.primitives, offsets, strict=True)])
-    unique, inverse = np.unique(points, axis=0, return_inverse=True)
-    triangles = inverse.reshape(-1)[triangles]
-    a, b, c = triangles.T
-    return unique, triangles[(a != b) & (b != c) & (c != a)].astype(np.int32)
+    def posed_outline(self, pose: Pose) -> Points:
+        """(n, 3) points whose projections bound the mesh's projection in a pose; of many vertices, that of some."""
+        return outline(thinned(np.concatenate([part.positions for part in pose.primitives])))
 
+    def _displacements(self, pose: Pose) -> Points:
+        return np.concatenate([np.zeros_like(rest.positions) if part is rest else part.positions - rest.positions
+                               for part, rest in zip(pose.primitives, self._rest.primitives, strict=True)])
 
-def _simplified(mesh: Mesh, most: int) -> tuple[Points, Triangles]:
-    points, triangles = welded(mesh)
-    if len(triangles) > most:
-        points, triangles = fast_simplification.simplify(points, triangles, target_count=most)
-    if len(triangles) > most:  # many loose parts, which edge collapse cannot join
-        points, triangles = _clustered(points, triangles, most)
-    return np.asarray(points, dtype=np.float32), np.asarray(triangles, dtype=np.int32)
-
-
-def _clustered(points: Points, triangles: Triangles, most: int) -> tuple[Points, Triangles]:
-    """Vertices snapped to the finest grid that leaves few enough triangles."""
-    low, size = points.min(axis=0), max(float(np.ptp(points, axis=0).max()), 1e-12)
-    for cells in (24, 20, 16, 12, 10, 8, 6, 5, 4, 3, 2):
-        keys = np.round((points - low) / size * cells).astype(np.int64)
-        unique, inverse = np.unique(keys, axis=0, return_inverse=True)
-        merged = np.sort(inverse.reshape(-1)[triangles], axis=1)
-        a, b, c = merged.T
-        merged = np.unique(merged[(a != b) & (b != c) & (c != a)], axis=0)
-        if len(merged) <= most:
-            break
-    return (unique / cells * size + low).astype(np.float32), merged[:most].astype(np.int32)
+    @cached_property
+    def _next_vertices(self) -> dict[bool, NDArray[np.intp]]:
+        tree = cKDTree(np.concatenate([p.positions for p in self.primitives]))
+        return {fine: np.asarray(tree.query(proxy[0])[1]) for fine, proxy in ((True, self.fine_proxy), (False, self.proxy))}
 
 
 def _grid(rows: int, columns: int) -> Triangles:

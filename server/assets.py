@@ -1,4 +1,4 @@
-"""Uploaded models: checked before they are kept, stored as `{assets_dir}/{name}.glb`."""
+"""Uploaded models: checked before they are kept, stored as `{assets_dir}/{name}.glb` with what the check found in `{name}.json`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ CHECK_COMMAND: tuple[str, ...] = (sys.executable, "-m", "server.worker.check_ass
 CHECK_LIMIT_S = 30.0
 CHECK_CPU_S = 20
 CHECK_MEMORY_BYTES = 4 << 30    # address space: numpy's libraries alone map a good part of it
-MAX_CHECK_OUTPUT = 4096
+MAX_COMPLAINT = 4096
+MAX_FACTS = 256 << 10    # 256 clips, whose names have 64 characters, escaped
 
 _GLB_HEADER = struct.Struct("<4sII")
 _NAME = re.compile(NAME_PATTERN)
@@ -57,7 +58,8 @@ class Assets:
         return sorted(path.stem for path in self._folder.glob("*.glb") if _NAME.match(path.stem))
 
     def describe(self, name: str) -> dict[str, Any]:
-        return {"name": name, "mesh": f"asset:{name}", "bytes": self._path(name).stat().st_size}
+        """What is known of a model: of one that was not uploaded, its name and size alone."""
+        return {**self._facts(name), "name": name, "mesh": f"asset:{name}", "bytes": self._path(name).stat().st_size}
 
     def exists(self, name: str) -> bool:
         return _NAME.match(name) is not None and self._path(name).is_file()
@@ -90,14 +92,28 @@ class Assets:
                 await _receive(chunks, file)
             async with self._one_check_at_a_time:
                 facts = await _check(partial)
+            facts_file = Path(folder) / f"{name}.json"
+            facts_file.write_text(json.dumps(facts))
             try:
                 os.link(partial, self._path(name))      # unlike a rename, never replaces
             except FileExistsError:
                 raise DuplicateAssetError(f"asset {name!r} exists already, expected a new name") from None
-        return {**facts, **self.describe(name)}
+            facts_file.replace(self._facts_path(name))
+        return self.describe(name)
 
     def remove(self, name: str) -> None:
         self._path(name).unlink()
+        self._facts_path(name).unlink(missing_ok=True)
+
+    def _facts(self, name: str) -> dict[str, Any]:
+        try:
+            facts = json.loads(self._facts_path(name).read_bytes())
+        except (OSError, ValueError):
+            return {}
+        return facts if isinstance(facts, dict) else {}
+
+    def _facts_path(self, name: str) -> Path:
+        return self._folder / f"{name}.json"
 
     def _path(self, name: str) -> Path:
         return self._folder / f"{name}.glb"
@@ -141,9 +157,9 @@ async def _check(path: Path) -> dict[str, Any]:
             await process.wait()
     lines = complaint.decode(errors="replace").strip().splitlines()
     if process.returncode != 0:
-        raise AssetError(lines[-1][:MAX_CHECK_OUTPUT] if lines and process.returncode == 2
+        raise AssetError(lines[-1][:MAX_COMPLAINT] if lines and process.returncode == 2
                          else f"the model cannot be loaded (status {process.returncode})")
-    facts = json.loads(output[:MAX_CHECK_OUTPUT])
+    facts = json.loads(output[:MAX_FACTS])
     if not isinstance(facts, dict):
         raise TypeError(f"check_asset printed {facts!r}, expected a JSON object")
     return facts

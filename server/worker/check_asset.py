@@ -24,7 +24,8 @@ def main() -> int:
         return 2
     low, high = mesh.outline.min(axis=0), mesh.outline.max(axis=0)
     print(json.dumps({"triangles": mesh.triangle_count, "primitives": len(mesh.primitives), "proxy_triangles": proxy_triangles,
-                      "bounds": {"min": low.round(5).tolist(), "max": high.round(5).tolist()}}))
+                      "bounds": {"min": low.round(5).tolist(), "max": high.round(5).tolist()},
+                      "clips": [{"name": name, "seconds": round(mesh.clip_seconds(name), 5)} for name in mesh.clips]}))
     return 0
 
 

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 import struct
 from collections.abc import Iterator
 from typing import Any
@@ -11,33 +10,18 @@ from conftest import Served, wait_for
 from test_rest_scene import assert_problem
 
 from server.assets import MAX_ASSET_BYTES
+from tests.models import bent_bar, glb, one_triangle, triangle
 
 ASSETS = "/api/assets"
 OBJECTS = "/api/streams/live/objects"
 GLB_TYPE = {"Content-Type": "model/gltf-binary"}
 
 
-def glb(document: dict[str, Any], binary: bytes) -> bytes:
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    binary += b"\0" * (-len(binary) % 4)
-    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
-
-
-def triangle(**accessor: Any) -> bytes:
-    positions = struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)
-    indices = struct.pack("<3H", 0, 1, 2)
-    return glb({
-        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
-        "buffers": [{"byteLength": len(positions) + len(indices)}],
-        "bufferViews": [{"buffer": 0, "byteOffset": 0, "byteLength": 36},
-                        {"buffer": 0, "byteOffset": 36, "byteLength": 6}],
-        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [0, 0, 0],
-                       "max": [1, 1, 0], **accessor},
-                      {"bufferView": 1, "componentType": 5123, "count": 3, "type": "SCALAR"}],
-    }, positions + indices)
+def flawed(**accessor: Any) -> bytes:
+    """A triangle whose positions' accessor is changed."""
+    model = one_triangle()
+    model.json["accessors"][0].update(accessor)
+    return model.bytes()
 
 
 @pytest.fixture
@@ -65,6 +49,17 @@ def test_asset_life(client: httpx.Client) -> None:
     assert client.delete(f"{ASSETS}/flag").status_code == 204
     assert_problem(client.delete(f"{ASSETS}/flag"), 404, "no asset 'flag'")
     assert_problem(client.post(OBJECTS, json={"mesh": "asset:flag"}), 422, "'asset:flag' is no asset")
+
+
+@pytest.mark.usefixtures("no_assets")
+def test_the_clips_of_a_model_are_listed(served: Served, client: httpx.Client) -> None:
+    created = client.post(ASSETS, content=bent_bar().bytes(), headers=GLB_TYPE, params={"name": "bar"}).json()
+    assert created["clips"] == [{"name": "bend", "seconds": 1.0}]
+    assert client.get(ASSETS).json() == [created]
+    (served.assets_dir / "bar.json").write_text("broken")       # what is not there is not told
+    assert client.get(ASSETS).json() == [{"name": "bar", "mesh": "asset:bar", "bytes": created["bytes"]}]
+    client.delete(f"{ASSETS}/bar")
+    assert list(served.assets_dir.iterdir()) == []
 
 
 @pytest.mark.usefixtures("no_assets")
@@ -97,10 +92,10 @@ def test_what_is_no_glb_is_refused(served: Served, client: httpx.Client, content
 @pytest.mark.parametrize("content", [
     struct.pack("<4sII", b"glTF", 2, 12),                                                   # no chunk at all
     glb({"asset": {"version": "2.0"}}, b""),                                                # nothing to draw
-    triangle(count=1000),                                                                   # reads past its buffer
-    triangle(count=1 << 40),
-    triangle(bufferView=7),
-    triangle(componentType=1),
+    flawed(count=1000),                                                                   # reads past its buffer
+    flawed(count=1 << 40),
+    flawed(bufferView=7),
+    flawed(componentType=1),
     glb({"asset": {"version": "2.0"}, "buffers": [{"uri": "file:///etc/passwd", "byteLength": 10}]}, b""),
 ])
 @pytest.mark.usefixtures("no_assets")
