@@ -19,6 +19,7 @@ from renderer.gl import GL_CLIP_DISTANCE0, Context, release_all, set_uniforms
 from renderer.gpu_mesh import GpuMesh, PlacedMesh
 from renderer.light_detection import Light
 from renderer.light_discs import STALE_SHARE, disc_directions, hardly_moved
+from renderer.proxy import Points, Triangles
 
 Array = NDArray[np.float64]
 LIGHT, AMBIENT, FINE_LIGHT = 0, 1, 2     # proxies, each with the program it is drawn by
@@ -81,6 +82,22 @@ class _KeptShadow:
     shadow: ShadowMap | None
 
 
+@dataclass
+class _Proxies:
+    """What casts one mesh's shadows, by the kind of shadow, in the pose of that number."""
+
+    points: list[moderngl.Buffer]
+    triangles: list[moderngl.Buffer]
+    arrays: list[moderngl.VertexArray]
+    pose_number: int
+
+    def add(self, gl: moderngl.Context, program: moderngl.Program, points: Points, triangles: Triangles) -> None:
+        self.points.append(gl.buffer(points.astype("f4").tobytes()))
+        self.triangles.append(gl.buffer(triangles.astype("i4").tobytes()))
+        self.arrays.append(gl.vertex_array(program, [(self.points[-1], "3f", "position")], index_buffer=self.triangles[-1],
+                                           index_element_size=4))
+
+
 class ShadowStage:
     """Owns the shadow programs and both atlases."""
 
@@ -99,7 +116,7 @@ class ShadowStage:
         self._depth = [gl.depth_renderbuffer(size), gl.depth_renderbuffer(ambient_size)]
         self._target = gl.framebuffer([self.atlas], self._depth[0])
         self._ambient_target = gl.framebuffer(self.transfer, self._depth[1])
-        self._proxies: WeakKeyDictionary[GpuMesh, tuple[list[moderngl.Buffer], list[moderngl.VertexArray]]] = WeakKeyDictionary()
+        self._proxies: WeakKeyDictionary[GpuMesh, _Proxies] = WeakKeyDictionary()
         self._ambient: dict[str, tuple[bytes, ShadowMap]] = {}
         self._lights: dict[tuple[str, int], _KeptShadow] = {}
         self._weighed: tuple[list[ShadowMap], bytes] | None = None
@@ -134,7 +151,7 @@ class ShadowStage:
         return next((cell for cell in range(GRID * GRID) if cell not in used), None)
 
     def _draw_light_shadow(self, placed: PlacedMesh, light: Light, shadow: ShadowMap, ground_y: float) -> ShadowMap | None:
-        points = world_points(placed)
+        points = placed.outline()
         height = float(points[:, 1].max()) - ground_y
         rim = np.concatenate([[light.direction], disc_directions(light.direction, light.angular_radius, 12)])
         rim = rim[rim[:, 1] > MIN_ELEVATION]
@@ -166,7 +183,7 @@ class ShadowStage:
             return kept[1]
         cells = {entry[1].cell for entry in self._ambient.values()}
         cell = kept[1].cell if kept else next((c for c in range(GRID * GRID) if c not in cells), None)
-        points = world_points(placed)
+        points = placed.outline()
         if cell is None or float(points[:, 1].max()) <= ground_y:
             self._ambient.pop(key, None)
             return None
@@ -229,33 +246,29 @@ class ShadowStage:
         gl.enable_only(moderngl.NOTHING)
 
     def _proxy(self, placed: PlacedMesh) -> list[moderngl.VertexArray]:
+        mesh = placed.mesh.mesh
         if placed.mesh not in self._proxies:
-            mesh, buffers, arrays = placed.mesh.mesh, [], []
-            for program, (points, triangles) in ((self._light_program, mesh.proxy), (self._ambient_program, mesh.proxy),
-                                                 (self._light_program, mesh.fine_proxy)):
-                own = [self._gl.buffer(points.astype("f4").tobytes()), self._gl.buffer(triangles.astype("i4").tobytes())]
-                buffers += own
-                arrays.append(self._gl.vertex_array(program, [(own[0], "3f", "position")], index_buffer=own[1],
-                                                    index_element_size=4))
-            self._proxies[placed.mesh] = (buffers, arrays)
-        return self._proxies[placed.mesh][1]
+            proxies = (self._light_program, mesh.proxy), (self._ambient_program, mesh.proxy), (self._light_program, mesh.fine_proxy)
+            self._proxies[placed.mesh] = _Proxies([], [], [], 0)
+            for program, (points, triangles) in proxies:
+                self._proxies[placed.mesh].add(self._gl, program, points, triangles)
+        kept = self._proxies[placed.mesh]
+        if placed.pose is not None and kept.pose_number != placed.pose_number:
+            kept.pose_number = placed.pose_number
+            for buffer, fine in zip(kept.points, (False, False, True), strict=True):
+                buffer.write(mesh.posed_proxy(placed.pose, fine).astype("f4"))
+        return kept.arrays
 
     def release(self) -> None:
-        for buffers, arrays in self._proxies.values():
-            release_all(*arrays, *buffers)
+        for kept in self._proxies.values():
+            release_all(*kept.arrays, *kept.points, *kept.triangles)
         release_all(self._missing_target, self._missing_triangle, self._missing_program, self.ambient_atlas)
         release_all(self._target, self._ambient_target, self.atlas, *self.transfer, *self._depth, self._light_program,
                      self._ambient_program)
 
 
 def _place_state(placed: PlacedMesh, ground_y: float) -> bytes:
-    return placed.world_from_model.tobytes() + np.float64(ground_y).tobytes() + id(placed.mesh).to_bytes(8, "little")
-
-
-def world_points(placed: PlacedMesh) -> Array:
-    """(n, 3) outline of the object in the world."""
-    matrix = placed.world_from_model
-    return np.asarray(placed.mesh.mesh.outline @ matrix[:3, :3].T + matrix[:3, 3])
+    return placed.state() + np.float64(ground_y).tobytes()
 
 
 def _ground_rect(points: Array, directions: Array, ground_y: float) -> tuple[float, float, float, float]:
