@@ -9,6 +9,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from renderer.bounce import bounced
 from renderer.color import srgb_from_linear
 from renderer.composite import CompositeStage, DrawView, GroundLight, Touched
 from renderer.frame import Frame, RadianceFrame, RgbFrame, YuvFrame, check_size
@@ -239,10 +240,22 @@ class Pipeline:
                 if ground.lights[index] @ WEIGHTS > gate:
                     maps.append(self._shadows.light_shadow(key, caster, item, index, ground.y))
             ambient.append(self._shadows.ambient_shadow(key, caster, ground.y))
-        self._shadows.weigh_ambient([shadow for shadow in ambient if shadow is not None], light.coefficients[:9])
+        by_object = {key: shadow for key, shadow in zip(casters, ambient, strict=True) if shadow is not None}
+        self._weigh_ambient(by_object, placed, light, ground.y)
 
         touched = self._touched([shadow for shadow in (*maps, *ambient) if shadow is not None], ground.y)
         return [item for item in touched if item.shadow.light >= 0], [item for item in touched if item.shadow.light < 0]
+
+    def _weigh_ambient(self, shadows: dict[str, ShadowMap], placed: dict[str, PlacedMesh], light: FrameLight,
+                       ground_y: float) -> None:
+        lights = tuple(item for item in _rendered(light) if not item.is_wide)
+        near = dict(zip(placed, self._shading.near, strict=False))
+        hidden = [light.coefficients[:9] for _ in shadows]
+        for index, key in enumerate(shadows):
+            if key in near:
+                body = self._surroundings.body(placed[key])
+                hidden[index] = hidden[index] - bounced(body, near[key], light.irradiance, lights, ground_y)
+        self._shadows.weigh_ambient(list(shadows.values()), hidden)
 
     def _reflect_ground(self, placement: Placement, ground: GroundLight | None, maps: list[Touched],
                         ambient: list[Touched]) -> None:

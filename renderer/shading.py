@@ -139,6 +139,11 @@ class ShadingStage:
         }
         self._surfaces.set_ground(illumination.ground_y)
 
+    @property
+    def near(self) -> tuple[Fit, ...]:
+        """The near field of each object in the light that was set last."""
+        return () if self._illumination is None else self._illumination.near
+
     def set_receivers(self, receivers: tuple[Receiver, ...], occluders: tuple[Receiver, ...]) -> None:
         """The same objects as they stand now, under the same light."""
         if self._illumination is not None:

@@ -203,20 +203,21 @@ class ShadowStage:
         pixels = max(np.ptp(across) * self._frame_size[0], np.ptp(uv[:, 1]) * self._frame_size[1])
         return int(np.clip(np.ceil(pixels / 16) * 16, 48, CELL))
 
-    def weigh_ambient(self, shadows: list[ShadowMap], residual: Array) -> None:
-        """Turn the maps' transfer vectors into missing irradiance, by the residual's (9, 3) coefficients of this frame."""
-        if self._weighed == (shadows, residual.tobytes()):
+    def weigh_ambient(self, shadows: list[ShadowMap], hidden: list[Array]) -> None:
+        """Turn the maps' transfer vectors into missing irradiance. `hidden`: for each map (9, 3) coefficients of the radiance that
+        the object hides in this frame, less what it gives off itself; what is missing may be negative."""
+        state = b"".join(one.tobytes() for one in hidden)
+        if self._weighed == (shadows, state):
             return
-        self._weighed = (shadows, residual.tobytes())
+        self._weighed = (shadows, state)
         self._missing_target.use()
         for unit, texture in enumerate(self.transfer):
             texture.use(FIRST_UNIT + unit)
             set_uniforms(self._missing_program, {f"transfer_{unit}": FIRST_UNIT + unit})
-        set_uniforms(self._missing_program, {"residual_sh": residual})
-        for shadow in shadows:
+        for shadow, coefficients in zip(shadows, hidden, strict=True):
             viewport = (shadow.cell % GRID * AMBIENT_CELL, shadow.cell // GRID * AMBIENT_CELL, AMBIENT_CELL, AMBIENT_CELL)
             self._missing_target.viewport = viewport
-            set_uniforms(self._missing_program, {"cell": viewport})
+            set_uniforms(self._missing_program, {"cell": viewport, "hidden_sh": coefficients})
             self._missing_triangle.render(moderngl.TRIANGLES, 3)
 
     def begin(self, keys: set[str], lights: set[int]) -> None:

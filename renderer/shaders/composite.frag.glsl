@@ -4,6 +4,7 @@
 #include "panorama.glsl"
 
 const float TOUCHED = 1.0 / 1024.0;
+const float MAX_RATIO = 4.0;    // of what an object's own light adds to the ground
 
 #define NO_VIEW 0
 #define PERSPECTIVE 1
@@ -92,11 +93,11 @@ struct Layers { vec4 object; vec3 ratio; };
 
 Layers layers_at(vec3 direction, vec3 missing_residual, float covered) {
     vec3 missing = missing_residual + missing_light(direction);
-    vec3 ratio = clamp(1.0 - missing / max(ground_irradiance, vec3(1e-6)), 0.0, 1.0);
+    vec3 ratio = clamp(1.0 - missing / max(ground_irradiance, vec3(1e-6)), 0.0, MAX_RATIO);
     return Layers(object_radiance(direction, covered), mix(ratio, vec3(1.0), lessThan(ground_irradiance, vec3(1e-6))));
 }
 
-bool differs(Layers layers) { return layers.object.a > TOUCHED || any(lessThan(layers.ratio, vec3(1.0 - TOUCHED))); }
+bool differs(Layers layers) { return layers.object.a > TOUCHED || any(greaterThan(abs(layers.ratio - 1.0), vec3(TOUCHED))); }
 
 vec3 composite(Layers layers, vec3 background) {
     return background * layers.ratio * (1.0 - layers.object.a) + layers.object.rgb;
