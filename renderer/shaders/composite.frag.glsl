@@ -82,6 +82,12 @@ vec4 object_radiance(vec3 direction, float covered) {
     vec3 d = view_from_world * direction;
     vec2 tangent = d.xy / max(d.z, 1e-6), uv = (tangent - view_bounds.xy) * view_bounds.zw;
     vec4 found = inside(uv) && d.z > 0.0 ? textureLod(view_texture, uv * view_scale, 0.0) : vec4(0.0);
+    // Where only a corner is covered, what is beside it; a loop, because a software renderer leaves one that no pixel enters.
+    for (int once = covered > TOUCHED && found.a < TOUCHED ? 1 : 0; once > 0; --once) {
+        vec2 beside = 0.6 * 2.0 * PI / float(frame_size.x) * view_bounds.zw * view_scale, at = uv * view_scale;
+        found = textureLod(view_texture, at + beside, 0.0) + textureLod(view_texture, at - beside, 0.0)
+            + textureLod(view_texture, at + vec2(beside.x, -beside.y), 0.0) + textureLod(view_texture, at + vec2(-beside.x, beside.y), 0.0);
+    }
     return found * (covered / max(found.a, TOUCHED));
 #else
     return vec4(0.0);
