@@ -99,6 +99,12 @@ Layers layers_at(vec3 direction, vec3 missing_residual, float covered) {
 bool differs(Layers layers) { return layers.object.a > TOUCHED || any(lessThan(layers.ratio, vec3(1.0 - TOUCHED))); }
 
 vec3 composite(Layers layers, vec3 background) {
+#if ADDITIVE
+    // Debevec's difference as MR360 has it (6.4): the pixel that is shown, in linear light, is the albedo
+    vec3 albedo = min(linear_from_radiance(background), vec3(1.0));
+    background = max(background - albedo * (1.0 - layers.ratio) * ground_irradiance / PI, 0.0);
+    layers.ratio = vec3(1.0);
+#endif
     return background * layers.ratio * (1.0 - layers.object.a) + layers.object.rgb;
 }
 
