@@ -102,7 +102,7 @@ def test_lights_are_printed_as_one_json_object(radiance_map: Path) -> None:
     ('{"sun": 1}', "sun"), ('{"objects": [{"id": "a", "mesh": "box", "scale": [0, 1, 1]}]}', "scale is"),
     ('{"objects": [{"id": "a", "mesh": "box", "position": [NaN, 0, 0]}]}', "position"),
     ('{"objects": [{"id": "a", "mesh": "gone.glb", "position": [0, 0, -3]}]}', "does not exist"),
-    ('{"lighting": {"preset": "paper"}}', "paper")])
+    ('{"lighting": {"preset": "papers"}}', "papers")])
 def test_a_bad_scene_is_one_line_and_exit_2(tmp_path: Path, radiance_map: Path, scene: str, complaint: str) -> None:
     (tmp_path / "bad.json").write_text(scene)
     done = mr360("render", radiance_map, "--output", tmp_path / "out.png", "--scene", tmp_path / "bad.json")

@@ -26,7 +26,7 @@ from tests.benchmarks.truth.measures import Comparison, compare
 from tests.benchmarks.truth.path_tracer import Traced, trace
 from tests.benchmarks.truth.solid import solid_of
 
-PRESETS = {"default": {"preset": "default"}}
+PRESETS = {"default": {"preset": "default"}, "paper": {"preset": "paper"}}
 
 
 @dataclass(frozen=True)
