@@ -128,7 +128,7 @@ def _diffuse_map(value: str) -> str:
 
 
 class Lighting(_Value):
-    """The method of each stage: a preset, single stages overridden.
+    """The method of each stage: a preset, single stages overridden. `paper`: those of Iorns & Rhee and of MR360.
 
     `light_count`: of the probe. `threshold`: standard deviations above the mean from which on a light is looked for. `gain`: factor
     for lights that the camera clips, in place of the estimate.

@@ -1,5 +1,5 @@
 // Differential rendering straight into the frame (Debevec 1998, as a ratio): out = object + (1 - a) background E_with / E_without
-// in linear light, then back through the tone curve. A pixel that nothing touches keeps its codes.
+// in linear light, then back through the tone curve. A pixel that nothing touches keeps its codes. ADDITIVE: as a difference.
 #include "equirectangular.glsl"
 #include "panorama.glsl"
 
@@ -100,7 +100,8 @@ bool differs(Layers layers) { return layers.object.a > TOUCHED || any(lessThan(l
 
 vec3 composite(Layers layers, vec3 background) {
 #if ADDITIVE
-    // Debevec's difference as MR360 has it (6.4): the pixel that is shown, in linear light, is the albedo
+    // background + (L_with - L_without), L = albedo E / pi, as MR360 has it (6.4): for an albedo it takes the video's pixel, in linear
+    // display light, right or not. All in radiance, in which the lights are; what the paper adds up after its tone mapping it does not say.
     vec3 albedo = min(linear_from_radiance(background), vec3(1.0));
     background = max(background - albedo * (1.0 - layers.ratio) * ground_irradiance / PI, 0.0);
     layers.ratio = vec3(1.0);
