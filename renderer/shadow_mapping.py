@@ -81,9 +81,9 @@ class ShadowMapping:
         """Write the share of the light that the object hides into a part of `target` that shows the ground's `rect` (x0, z0, x1, z1
         in metres). `points`: (n, 3) outline of the object in the world."""
         rotation = looking_along(-light.direction)
-        above = points[points[:, 1] > ground_y] @ rotation.T
-        texel = self._texel(above, points, light)
-        low, high = above.min(axis=0), above.max(axis=0)
+        texel = _texel(points, rotation, light)
+        seen = points @ rotation.T
+        low, high = seen.min(axis=0), seen.max(axis=0)
         size = np.minimum(np.ceil((high - low)[:2] / texel).astype(int) + 2 * BORDER, SIZE)
         low -= [BORDER * texel, BORDER * texel, 0.01]
         extent = np.array([*(size * texel), float(_depth_of(rect, ground_y, rotation, high[2])) - low[2] + 0.01])
@@ -104,21 +104,23 @@ class ShadowMapping:
         self._gl.enable_only(moderngl.NOTHING)
         self._triangle.render(moderngl.TRIANGLES, 3)
 
-    @staticmethod
-    def _texel(above: Array, points: Array, light: Light) -> float:
-        wanted = texel_size(light.solid_angle, float(np.linalg.norm(points.mean(axis=0))))
-        return max(wanted, float(np.ptp(above[:, :2], axis=0).max()) / (SIZE - 2 * BORDER - 1))
-
-    def reach(self, points: Array, ground_y: float, light: Light) -> tuple[float, float]:
-        """How far in x and z the filter spreads the shadow on the ground, in metres."""
-        rotation = looking_along(-light.direction)
-        half = (FILTER + 1) / 2 * self._texel(points[points[:, 1] > ground_y] @ rotation.T, points, light)
-        corners = half * (rotation[0] + np.array([[1.0], [-1.0]]) * rotation[1])
-        on_ground = np.abs(corners - light.direction * (corners[:, 1:2] / light.direction[1])).max(axis=0)
-        return float(on_ground[0]), float(on_ground[2])
-
     def release(self) -> None:
         release_all(self._framebuffer, self._depth, self._triangle, self._program)
+
+
+def filter_reach(points: Array, light: Light) -> tuple[float, float]:
+    """How far in x and z the filter spreads the shadow of an object on the ground, in metres. `points`: (n, 3) outline."""
+    rotation = looking_along(-light.direction)
+    half = (FILTER + 1) / 2 * _texel(points, rotation, light)
+    corners = half * (rotation[0] + np.array([[1.0], [-1.0]]) * rotation[1])
+    on_ground = np.abs(corners - light.direction * (corners[:, 1:2] / light.direction[1])).max(axis=0)
+    return float(on_ground[0]), float(on_ground[2])
+
+
+def _texel(points: Array, rotation: Array, light: Light) -> float:
+    """In metres; as the paper has it unless the object then does not fit into the depth map."""
+    wanted = texel_size(light.solid_angle, float(np.linalg.norm(points.mean(axis=0))))
+    return max(wanted, float(np.ptp(points @ rotation[:2].T, axis=0).max()) / (SIZE - 2 * BORDER - 1))
 
 
 def _depth_of(rect: tuple[float, float, float, float], ground_y: float, rotation: Array, least: float) -> float:

@@ -19,7 +19,7 @@ from renderer.gl import GL_CLIP_DISTANCE0, Context, release_all, set_uniforms
 from renderer.gpu_mesh import GpuMesh, PlacedMesh
 from renderer.light_detection import Light
 from renderer.light_discs import STALE_SHARE, disc_directions, hardly_moved
-from renderer.shadow_mapping import ShadowMapping
+from renderer.shadow_mapping import ShadowMapping, filter_reach
 from renderer.surfaces import SurfaceStage
 
 Array = NDArray[np.float64]
@@ -172,7 +172,7 @@ class ShadowStage:
         if self._mapping is None:
             self._mapping = ShadowMapping(self._context, self._surfaces)
         x0, z0, x1, z1 = _ground_rect(points, light.direction[None], ground_y)
-        x, z = self._mapping.reach(points, ground_y, light)
+        x, z = filter_reach(points, light)
         rect = (x0 - x, z0 - z, x1 + x, z1 + z)
         shadow = replace(shadow, rect=rect, texels=self._texels(rect, ground_y))
         self._mapping.fill(self._target, self._viewport(self._target, shadow), rect, ground_y, placed, points, light)

@@ -100,9 +100,14 @@ bool differs(Layers layers) { return layers.object.a > TOUCHED || any(lessThan(l
 
 vec3 composite(Layers layers, vec3 background) {
 #if ADDITIVE
-    // background + (L_with - L_without), L = albedo E / pi, as MR360 has it (6.4): for an albedo it takes the video's pixel, in linear
-    // display light, right or not. All in radiance, in which the lights are; what the paper adds up after its tone mapping it does not say.
-    vec3 albedo = min(linear_from_radiance(background), vec3(1.0));
+    // background + (L_with - L_without), L = albedo E / pi, as MR360 has it (6.4): as albedo it takes the video's pixel, in linear
+    // display light, right or not. The sum is one of radiances; the paper does not say in which scale its own is.
+#if SOURCE_YUV || SOURCE_RGB8
+    vec3 albedo = linear_from_radiance(background);
+#else
+    vec3 albedo = background;   // no tone curve stands between a radiance map and the display
+#endif
+    albedo = min(albedo, vec3(1.0));
     background = max(background - albedo * (1.0 - layers.ratio) * ground_irradiance / PI, 0.0);
     layers.ratio = vec3(1.0);
 #endif

@@ -9,7 +9,7 @@ import pytest
 
 from renderer.color import srgb_from_linear
 from renderer.equirectangular import uv_from_direction
-from renderer.frame import RadianceFrame, RgbFrame
+from renderer.frame import Frame, RadianceFrame, RgbFrame, YuvFrame
 from renderer.gl import Context
 from renderer.inverse_tone_mapping import linear_from_radiance, radiance_from_linear
 from renderer.irradiance import disc_cosine, irradiance
@@ -17,7 +17,7 @@ from renderer.light_detection import Detection, Light
 from renderer.light_reading import FrameLight
 from renderer.pipeline import Pipeline, Rendered
 from renderer.shadow_mapping import ShadowMapping, screen_space_occlusion, texel_size
-from tests.renderer.frames import direction, scene
+from tests.renderer.frames import direction, scene, yuv_from_linear
 
 UP = np.array([0.0, 1.0, 0.0])
 SUN = direction(0, 35)
@@ -43,7 +43,7 @@ def ground_frame(level: float, size: tuple[int, int] = (1024, 512)) -> RadianceF
     return RadianceFrame(np.full((size[1], size[0], 3), level, np.float32))
 
 
-def draw(context: Context, frame: RadianceFrame | RgbFrame, light: FrameLight, *objects: dict[str, Any],
+def draw(context: Context, frame: Frame, light: FrameLight, *objects: dict[str, Any],
          **lighting: str) -> Rendered:
     pipeline = Pipeline(context, type(frame), frame.size)
     try:
@@ -128,9 +128,8 @@ def test_the_papers_contact_shadow_is_half_of_a_uniform_occlusion() -> None:
 
 @pytest.mark.parametrize("share", [1.0, 0.4, 2.0])
 def test_additive_and_ratio_agree_where_the_ground_has_the_albedo_of_the_video(context: Context, share: float) -> None:
-    """notes/rendering.md 1f: they differ by (rho - rho') dE / pi; rho' is the pixel's linear display light."""
-    level = 0.54
-    shown = float(linear_from_radiance(np.full((1, 3), level))[0, 0])
+    """Otherwise they differ by (rho - rho') dE / pi; rho' is what a radiance map's pixel shows at exposure 1."""
+    level = shown = 0.4
     albedo = shown * share
     wanted = np.pi * level / albedo         # the irradiance under which a ground of this albedo looks like that
     light = light_of(0.0, sun=wanted * 0.6 / np.sin(np.radians(35)), sky=wanted * 0.4 / np.pi)
@@ -158,6 +157,9 @@ def test_additive_is_clamped_at_black_and_works_on_display_signals(context: Cont
         radiance = max(level - shown * sun * np.sin(np.radians(35)) / np.pi, 0.0)
         code = 255 * float(srgb_from_linear(linear_from_radiance(np.full((1, 3), radiance)))[0, 0])
         assert at(result.rgb, SHADOW[None])[0] == pytest.approx(code, abs=1.5)
+        planes = draw(context, yuv_from_linear(np.full((512, 1024, 3), shown)), light, PLATE, composite="additive").frame
+        assert isinstance(planes, YuvFrame)
+        assert at(planes.y[..., None], SHADOW[None])[0] == pytest.approx(16 + 219 / 255 * code, abs=1.5)
 
 
 def test_without_our_additions_the_papers_objects_see_the_distant_frame_alone(context: Context) -> None:
