@@ -10,7 +10,7 @@ does not say; this is our reading of it, by UE4's own rules and default quality:
   the second; here it goes on, so that none is missing.
 * 2048 texels a side and a filter of 5 x 5 texels, bilinear: a penumbra, across the light, of 5 * 2 * distance / 2048: 9.8 cm for
   a small light, 24 cm for a large one near the camera, whatever the distance of what casts the shadow.
-* the constant and slope-scaled bias are left out: on a plane below all casters there is nothing for them to mend.
+* of the constant and slope-scaled bias a millimetre is left: on a plane below all casters there is nothing for them to mend.
 
 Left out, for it is not given: the lower intensity of larger lights. Each object has a map of its own, clamped together where they
 overlap. The paper's contact shadows are UE4's ambient occlusion in screen space: `screen_space_occlusion`. Objects are shadowed by
