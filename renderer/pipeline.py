@@ -28,6 +28,7 @@ from renderer.radiance_map import RadianceMapStage, packed_pixels
 from renderer.ring_sampling import RingSource
 from renderer.scene import Lighting, Scene
 from renderer.shading import MIRROR_BELOW, Illumination, ShadingStage, is_sharp, may_mirror
+from renderer.shadow_mapping import screen_space_occlusion
 from renderer.shadows import ShadowMap, ShadowStage
 from renderer.specular import prefilter_all, quantized_roughness
 from renderer.surfaces import SurfaceStage
@@ -76,7 +77,7 @@ class Pipeline:
         self._radiance = RadianceMapStage(context, self._panorama)
         self._surfaces = SurfaceStage(context)
         self._shading = ShadingStage(context, self._panorama, self._surfaces, self._radiance.texture)
-        self._shadows = ShadowStage(context, size)
+        self._shadows = ShadowStage(context, size, self._surfaces)
         self._composite = CompositeStage(context, self._panorama)
         self._placer = Placer(lambda mesh: GpuMesh(context, self._surfaces.programs, mesh), size, assets, mesh_root)
         self._reader = LightReader()
@@ -193,7 +194,8 @@ class Pipeline:
         with timings.stage("shadows"):
             ground = self._ground_light(scene, light)
             maps, ambient = self._cast(scene, placement.objects, light, ground) if ground else ([], [])
-            self._reflect_ground(placement, ground, maps, ambient)
+            if rings is None:
+                self._reflect_ground(placement, ground, maps, ambient)
         self._lit = _Lit(light, scene.lighting, placement, ground, maps, ambient)
         return self._lit
 
@@ -207,7 +209,9 @@ class Pipeline:
         wanted = {quantized_roughness(value) for value in found if value >= MIRROR_BELOW and rings is None}
         lights = tuple(item for item in _rendered(light) if not item.is_wide)
         ground_y = -scene.camera_height if scene.ground.catcher else None
-        near = self._surroundings.fits(placement.objects, ground_y, light.soft, light.irradiance, lights)
+        # the papers' map knows nothing near
+        near = () if scene.lighting.method("diffuse").startswith("map") else self._surroundings.fits(
+            placement.objects, ground_y, light.soft, light.irradiance, lights)
         receivers, occluders = self._receivers(scene, placement)
         self._illuminations += 1
         lobes = prefilter_all(light.soft, wanted)
@@ -226,10 +230,12 @@ class Pipeline:
             return None
         lights = [item.irradiance * float(disc_cosine(item.direction @ UP, item.angular_radius)) for item in _rendered(light)]
         ambient = np.maximum(irradiance(light.coefficients, UP), 0.0)
-        return GroundLight(-scene.camera_height, ambient + sum(lights, np.zeros(3)), lights)
+        return GroundLight(-scene.camera_height, ambient + sum(lights, np.zeros(3)), lights,
+                           additive=scene.lighting.method("composite") == "additive")
 
     def _cast(self, scene: Scene, placed: dict[str, PlacedMesh], light: FrameLight,
               ground: GroundLight) -> tuple[list[Touched], list[Touched]]:
+        filtered = scene.lighting.method("shadows") == "pcf"
         casters = {item.id: placed[item.id] for item in scene.objects if item.id in placed and item.casts_shadow}
         gate = MIN_GROUND_SHARE * float(ground.total @ WEIGHTS)
         self._shadows.begin(set(casters), {item.id for item in _rendered(light)})
@@ -238,10 +244,13 @@ class Pipeline:
         for key, caster in casters.items():
             for index, item in enumerate(_rendered(light)):
                 if ground.lights[index] @ WEIGHTS > gate:
-                    maps.append(self._shadows.light_shadow(key, caster, item, index, ground.y))
+                    maps.append(self._shadows.light_shadow(key, caster, item, index, ground.y, filtered=filtered))
             ambient.append(self._shadows.ambient_shadow(key, caster, ground.y))
         by_object = {key: shadow for key, shadow in zip(casters, ambient, strict=True) if shadow is not None}
-        self._weigh_ambient(by_object, placed, light, ground.y)
+        if filtered:
+            self._shadows.weigh_ambient(list(by_object.values()), [screen_space_occlusion(light.coefficients)] * len(by_object))
+        else:
+            self._weigh_ambient(by_object, placed, light, ground.y)
 
         touched = self._touched([shadow for shadow in (*maps, *ambient) if shadow is not None], ground.y)
         return [item for item in touched if item.shadow.light >= 0], [item for item in touched if item.shadow.light < 0]

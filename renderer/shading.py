@@ -207,11 +207,12 @@ class ShadingStage:
         detailed = any(item.is_detailed for item in members)
         roughnesses = [surface.roughness for surface, _ in target.surfaces]
         glossy = detailed or max(roughnesses) >= MIRROR_BELOW
+        rings = self._illumination is not None and self._illumination.rings is not None
         return target, shaded, Shading(
             detailed, self._slots, lobes=glossy and bool(self._lobe_cells),
             mirrors=detailed or min(roughnesses) < MIRROR_BELOW,
-            reflects=detailed or any(is_sharp(surface) for surface, _ in target.surfaces),
-            rings=glossy and self._illumination is not None and self._illumination.rings is not None)
+            # the papers reflect the distant frame alone, in mirrors too
+            reflects=not rings and (detailed or any(is_sharp(surface) for surface, _ in target.surfaces)), rings=rings)
 
     def _write_table(self, target: ViewTarget, table: moderngl.Texture) -> None:
         """A row for each surface, from row 1."""

@@ -20,6 +20,8 @@ from renderer.gpu_mesh import GpuMesh, PlacedMesh
 from renderer.light_detection import Light
 from renderer.light_discs import STALE_SHARE, disc_directions, hardly_moved
 from renderer.proxy import Points, Triangles
+from renderer.shadow_mapping import ShadowMapping, filter_reach
+from renderer.surfaces import SurfaceStage
 
 Array = NDArray[np.float64]
 LIGHT, AMBIENT, FINE_LIGHT = 0, 1, 2     # proxies, each with the program it is drawn by
@@ -101,8 +103,10 @@ class _Proxies:
 class ShadowStage:
     """Owns the shadow programs and both atlases."""
 
-    def __init__(self, context: Context, frame_size: tuple[int, int]) -> None:
+    def __init__(self, context: Context, frame_size: tuple[int, int], surfaces: SurfaceStage) -> None:
         gl = self._gl = context.gl
+        self._context, self._surfaces = context, surfaces
+        self._mapping: ShadowMapping | None = None      # made when it is first wanted
         self._frame_size = frame_size
         self._light_program = context.program("shadow.vert.glsl", "shadow.frag.glsl")
         self._ambient_program = context.program("shadow.vert.glsl", "ambient_shadow.frag.glsl")
@@ -125,14 +129,16 @@ class ShadowStage:
         set_uniforms(self._ambient_program, {"sample_direction": np.pad(upper, ((0, 128 - AMBIENT_SAMPLES), (0, 0))),
                                              "sample_count": AMBIENT_SAMPLES, "weight": np.pi / AMBIENT_SAMPLES})
 
-    def light_shadow(self, key: str, placed: PlacedMesh, light: Light, light_index: int, ground_y: float) -> ShadowMap | None:
-        """One object's shadow from one light, drawn unless the last one still holds. None when there is nothing to see.
+    def light_shadow(self, key: str, placed: PlacedMesh, light: Light, light_index: int, ground_y: float, *,
+                     filtered: bool = False) -> ShadowMap | None:
+        """One object's shadow from one light, drawn unless the last one still holds. None when there is nothing to see. `filtered`:
+        by the papers' method, `shadow_mapping.py`.
 
         It holds while object and ground are as they were and the light has moved by less than a quarter of its radius:
         the shadow's edge then errs by less than an eighth of its penumbra. Up to a whole radius it waits for its turn, one
         map a frame, so that a moving sun does not have all shadows drawn in the same frame.
         """
-        place = _place_state(placed, ground_y)
+        place = _place_state(placed, ground_y) + bytes([filtered])
         kept = self._lights.get((key, light.id))
         if kept is not None and kept.place == place:
             tolerance = STALE_SHARE if self._redrawn == 0 else 1.0
@@ -142,7 +148,8 @@ class ShadowStage:
         cell = kept.cell if kept is not None else self._free_cell()
         if cell is None:
             return None
-        shadow = self._draw_light_shadow(placed, light, ShadowMap(cell, (0, 0, 0, 0), light_index), ground_y)
+        draw = self._draw_filtered_shadow if filtered else self._draw_light_shadow
+        shadow = draw(placed, light, ShadowMap(cell, (0, 0, 0, 0), light_index), ground_y)
         self._lights[(key, light.id)] = _KeptShadow(cell, place, light, shadow)
         return shadow
 
@@ -173,6 +180,19 @@ class ShadowStage:
             "weight": 1.0 / count})
         proxy = FINE_LIGHT if penumbra < SHARP * texel else LIGHT
         self._draw(self._target, self._light_program, proxy, placed, shadow, ground_y, len(samples))
+        return shadow
+
+    def _draw_filtered_shadow(self, placed: PlacedMesh, light: Light, shadow: ShadowMap, ground_y: float) -> ShadowMap | None:
+        points = placed.outline()
+        if float(points[:, 1].max()) <= ground_y or light.direction[1] <= MIN_ELEVATION:
+            return None
+        if self._mapping is None:
+            self._mapping = ShadowMapping(self._context, self._surfaces)
+        x0, z0, x1, z1 = _ground_rect(points, light.direction[None], ground_y)
+        x, z = filter_reach(points, light)
+        rect = (x0 - x, z0 - z, x1 + x, z1 + z)
+        shadow = replace(shadow, rect=rect, texels=self._texels(rect, ground_y))
+        self._mapping.fill(self._target, self._viewport(self._target, shadow), rect, ground_y, placed, points, light)
         return shadow
 
     def ambient_shadow(self, key: str, placed: PlacedMesh, ground_y: float) -> ShadowMap | None:
@@ -230,9 +250,7 @@ class ShadowStage:
     def _draw(self, target: moderngl.Framebuffer, program: moderngl.Program, which: int,
               placed: PlacedMesh, shadow: ShadowMap, ground_y: float, samples: int) -> None:
         gl = self._gl
-        cell = target.width // GRID
-        used = cell if shadow.light < 0 else shadow.texels
-        viewport = (shadow.cell % GRID * cell, shadow.cell // GRID * cell, used, used)
+        viewport = self._viewport(target, shadow)
         target.use()
         target.viewport = viewport
         target.clear(0.0, 0.0, 0.0, 0.0, depth=1.0, viewport=viewport)
@@ -245,6 +263,12 @@ class ShadowStage:
         self._proxy(placed)[which].render(instances=samples)
         gl.disable_direct(GL_CLIP_DISTANCE0)
         gl.enable_only(moderngl.NOTHING)
+
+    @staticmethod
+    def _viewport(target: moderngl.Framebuffer, shadow: ShadowMap) -> tuple[int, int, int, int]:
+        cell = target.width // GRID
+        used = cell if shadow.light < 0 else shadow.texels
+        return (shadow.cell % GRID * cell, shadow.cell // GRID * cell, used, used)
 
     def _proxy(self, placed: PlacedMesh) -> list[moderngl.VertexArray]:
         mesh = placed.mesh.mesh
@@ -265,7 +289,7 @@ class ShadowStage:
             release_all(*kept.arrays, *kept.points, *kept.triangles)
         release_all(self._missing_target, self._missing_triangle, self._missing_program, self.ambient_atlas)
         release_all(self._target, self._ambient_target, self.atlas, *self.transfer, *self._depth, self._light_program,
-                     self._ambient_program)
+                    self._ambient_program, self._mapping)
 
 
 def _place_state(placed: PlacedMesh, ground_y: float) -> bytes:

@@ -1,5 +1,5 @@
 // Differential rendering straight into the frame (Debevec 1998, as a ratio): out = object + (1 - a) background E_with / E_without
-// in linear light, then back through the tone curve. A pixel that nothing touches keeps its codes.
+// in linear light, then back through the tone curve. A pixel that nothing touches keeps its codes. ADDITIVE: as a difference.
 #include "equirectangular.glsl"
 #include "panorama.glsl"
 
@@ -106,6 +106,18 @@ Layers layers_at(vec3 direction, vec3 missing_residual, float covered) {
 bool differs(Layers layers) { return layers.object.a > TOUCHED || any(greaterThan(abs(layers.ratio - 1.0), vec3(TOUCHED))); }
 
 vec3 composite(Layers layers, vec3 background) {
+#if ADDITIVE
+    // background + (L_with - L_without), L = albedo E / pi, as MR360 has it (6.4): as albedo it takes the video's pixel, in linear
+    // display light, right or not. The sum is one of radiances; the paper does not say in which scale its own is.
+#if SOURCE_YUV || SOURCE_RGB8
+    vec3 albedo = linear_from_radiance(background);
+#else
+    vec3 albedo = background;   // no tone curve stands between a radiance map and the display
+#endif
+    albedo = min(albedo, vec3(1.0));
+    background = max(background - albedo * (1.0 - layers.ratio) * ground_irradiance / PI, 0.0);
+    layers.ratio = vec3(1.0);
+#endif
     return background * layers.ratio * (1.0 - layers.object.a) + layers.object.rgb;
 }
 

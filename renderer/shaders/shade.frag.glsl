@@ -157,6 +157,8 @@ Reflection reflection(Surface s, vec3 ray) {
     for (int once = met >= 0 ? 1 : 0; once > 0; --once) found.light = solid_radiance(met, found.light, ray, met_blur);
     return found;
 }
+#elif HAS_RINGS
+Reflection reflection(Surface s, vec3 ray) { return Reflection(ray, vec3(1.0), vec3(0.0), 0.0); }   // the frame is all that the papers see
 #else
 Reflection reflection(Surface s, vec3 ray) { return Reflection(seen_direction(s.position, ray), s.nearby, vec3(0.0), 0.0); }
 #endif

@@ -27,7 +27,7 @@ from tests.benchmarks.truth.path_tracer import Traced, trace
 from tests.benchmarks.truth.solid import solid_of
 
 MOMENT = 0.3        # of the animations, in seconds
-PRESETS = {"default": {"preset": "default"}}
+PRESETS = {"default": {"preset": "default"}, "paper": {"preset": "paper"}}
 
 
 @dataclass(frozen=True)
