@@ -21,6 +21,8 @@ from renderer.light_detection import MAX_LIGHTS, Light
 from renderer.light_reading import FrameAccess, FrameLight, LightReader
 from renderer.light_refinement import MomentStage
 from renderer.light_visibility import Receiver
+from renderer.mesh import Mesh
+from renderer.openness import OpennessStage
 from renderer.panorama import PanoramaTextures
 from renderer.placement import TILE, TileMask, View, touched_tiles
 from renderer.placing import Placement, Placer
@@ -79,7 +81,8 @@ class Pipeline:
         self._shading = ShadingStage(context, self._panorama, self._surfaces, self._radiance.texture)
         self._shadows = ShadowStage(context, size, self._surfaces)
         self._composite = CompositeStage(context, self._panorama)
-        self._placer = Placer(lambda mesh: GpuMesh(context, self._surfaces.programs, mesh), size, assets, mesh_root)
+        self._openness = OpennessStage(context, self._surfaces)
+        self._placer = Placer(self._upload, size, assets, mesh_root)
         self._reader = LightReader()
         self._surroundings = Surroundings()
         is_reduced = self._radiance.size[0] < size[0] or self._radiance.size[1] < size[1]
@@ -90,6 +93,11 @@ class Pipeline:
         self._lit: _Lit | None = None
         self._illuminations = 0
         self._shadow_tiles: dict[tuple[ShadowMap, float], TileMask] = {}
+
+    def _upload(self, mesh: Mesh) -> GpuMesh:
+        uploaded = GpuMesh(self._context, self._surfaces.programs, mesh)
+        self._openness.bake(uploaded)
+        return uploaded
 
     @property
     def placement(self) -> Placement | None:
@@ -306,6 +314,7 @@ class Pipeline:
     def release(self) -> None:
         self._context.rest()
         self._placer.release()
+        self._openness.release()
         release_all(self._composite, self._shadows, self._shading, self._surfaces, self._upper, self._rings, self._moments,
                     self._radiance, self._panorama)
 

@@ -134,7 +134,7 @@ def _mean_direction(points: Array) -> Array:
     return np.asarray(mean / max(float(np.linalg.norm(mean)), 1e-12))
 
 
-def looking_along(forward: Array) -> Array:
+def looking_along(forward: NDArray[np.floating]) -> Array:
     """(3, 3) rows right, up, forward."""
     helper = np.array([0.0, 1.0, 0.0]) if abs(forward[1]) < 0.9 else np.array([0.0, 0.0, 1.0])
     right = np.cross(forward, helper)

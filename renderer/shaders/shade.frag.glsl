@@ -97,7 +97,7 @@ vec3 dominant_direction(vec3 mirrored, vec3 normal, float roughness) {
 #endif
 }
 
-struct Surface { int object; vec3 normal; vec3 position; vec3 color; float metallic; vec3 emissive; float roughness; vec3 lobe; vec3 nearby; float open; };
+struct Surface { int object; vec3 normal; vec3 position; vec3 color; float metallic; vec3 emissive; float roughness; vec3 lobe; vec3 nearby; vec3 open; };
 
 const float ROUGH = 0.6;    // from here on a lobe sees so much at once that what is near dims it as it dims diffuse light
 
@@ -229,7 +229,12 @@ Surface surface_at(vec3 normal_times_distance, float surface, ivec2 sample_pixel
     s.emissive = emissive.rgb;
     s.roughness = emissive.a;
     s.object = int(texelFetch(surfaces, ivec2(2, int(surface)), 0).w);
-    s.open = 1.0 - fract(surface) / 0.9;
+    float open_share = 1.0 - fract(surface) / 0.9;
+#if DETAILED
+    s.open = vec3(open_share);
+#else
+    s.open = open_share / (1.0 - s.color * (1.0 - open_share));     // what is in the way gives back what it gets
+#endif
     s.nearby = near_field(int(surface), s.position, s.normal);
     return s;
 }
