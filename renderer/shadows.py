@@ -25,10 +25,11 @@ from renderer.surfaces import SurfaceStage
 
 Array = NDArray[np.float64]
 LIGHT, AMBIENT, FINE_LIGHT = 0, 1, 2     # proxies, each with the program it is drawn by
-CELL = 128                 # texels a side of one light's shadow map
+CELL = 256                 # texels a side of one light's shadow map, at most
 AMBIENT_CELL = 64
 GRID = 8                   # cells a side of either atlas
-MAX_SAMPLES = 10
+MAX_SAMPLES = 32           # of a light's disc
+MAX_MOVING_SAMPLES = 10    # the same for what another pose may replace in the next frame
 SHARP = 12                  # texels; a narrower penumbra shows the corners of a coarse proxy
 AMBIENT_SAMPLES = 96
 FIRST_UNIT = 8            # texture units after the panorama's
@@ -169,7 +170,8 @@ class ShadowStage:
         texel = max(rect[2] - rect[0], rect[3] - rect[1]) / texels
         elevation = max(float(light.direction[1]), 0.05)
         penumbra = 2 * light.angular_radius * height / elevation**2
-        count = 1 if penumbra < texel else int(np.clip(penumbra / texel, 6, MAX_SAMPLES))
+        most = MAX_SAMPLES if placed.pose is None else MAX_MOVING_SAMPLES
+        count = 1 if penumbra < texel else int(np.clip(2 * penumbra / texel, 6, most))
         samples = disc_directions(light.direction, light.angular_radius, count) if count > 1 else light.direction[None]
         samples = samples[samples[:, 1] > MIN_ELEVATION]
         if not len(samples):
