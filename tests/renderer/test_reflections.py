@@ -46,9 +46,9 @@ def ball_pixels(within: float = 0.44) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return mask, rays * distance[:, None], rays - 2 * (rays * normals).sum(axis=1, keepdims=True) * normals
 
 
-def meets_box(at: np.ndarray, rays: np.ndarray) -> np.ndarray:
-    """Which rays meet the red box away from its edges."""
-    return np.isfinite(hit("box", (at - np.array(RED_BOX["position"])) / 0.85, rays)[0])
+def meets_box(at: np.ndarray, rays: np.ndarray, size: float = 0.85) -> np.ndarray:
+    """Which rays meet the red box away from its edges, or one of another size."""
+    return np.isfinite(hit("box", (at - np.array(RED_BOX["position"])) / size, rays)[0])
 
 
 @pytest.mark.parametrize(("roughness", "least"), [(0.0, 2.0), (0.2, 1.5)])
@@ -60,6 +60,8 @@ def test_a_mirror_shows_a_box_where_its_rays_meet_it(context: Context, roughness
     assert meets.sum() > 20
     red_share = found[mask][:, 0] / found[mask][:, 1]
     assert (red_share[meets] > least).mean() > 0.9
+    passes = ~meets_box(at, rays, 1.15)
+    assert (np.abs(red_share[passes] - 1.0) < 0.02).mean() > 0.95 - roughness
     far_side = rays @ [1, 0, 0] < -0.2
     assert far_side.sum() > 100
     assert red_share[far_side] == pytest.approx(1.0, abs=0.01)
