@@ -32,16 +32,18 @@ FIRST_UNIT = 16           # after those of the object stage, which draws in betw
 DrawView = Callable[[View], Drawn]
 NO_VIEW, PERSPECTIVE, CUBE_FACE = 0, 1, 2     # as in composite.frag.glsl
 Batch = tuple[tuple[int, int], int, int]      # of SLOTS; first point and number of points
-Variant = tuple[int, int, int]   # kind of view; light maps; maps of the residual
+Variant = tuple[int, int, int, bool]   # kind of view; light maps; maps of the residual; additive
 
 
 @dataclass(frozen=True)
 class GroundLight:
-    """What the ground receives without objects: in total, and from each light by index."""
+    """What the ground receives without objects: in total, and from each light by index. `additive`: what is missing is subtracted
+    as MR360 has it, with the frame as albedo (section 6.4)."""
 
     y: float
     total: Array
     lights: list[Array]
+    additive: bool = False
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,7 @@ class CompositeStage:
         self._vertex_arrays: dict[Variant, moderngl.VertexArray] = {}
         self._last_plan: _Plan | None = None
         self._last_drawn: Drawn | None = None
+        self._additive = False
         self._rows = 0
         self._textures: list[moderngl.Texture] = []
         self._framebuffer: moderngl.Framebuffer | None = None
@@ -98,6 +101,7 @@ class CompositeStage:
         if not len(plan.tiles):
             return plan.tiles
         self._reserve(len(plan.tiles))
+        self._additive = ground is not None and ground.additive
         self._frame_uniforms = self._constants(maps, ambient, ground)
         self._prepared: set[Variant] = set()
         shadows.atlas.use(FIRST_UNIT + 1)
@@ -156,10 +160,10 @@ class CompositeStage:
 
     def _variant(self, variant: Variant) -> tuple[moderngl.Program, moderngl.VertexArray]:
         if variant not in self._programs:
-            view, maps, ambients = variant
+            view, maps, ambients, additive = variant
             self._programs[variant] = self._context.program("composite.vert.glsl", "composite.frag.glsl", {
                 **self._panorama.defines, "OUTPUT_YUV": int(self._is_yuv), "VIEW": view,
-                "MAPS": maps, "AMBIENTS": ambients, "COVERAGE": 0})
+                "MAPS": maps, "AMBIENTS": ambients, "COVERAGE": 0, "ADDITIVE": int(additive)})
         program = self._programs[variant]
         if variant not in self._vertex_arrays:
             self._vertex_arrays[variant] = self._vertex_array(program)
@@ -194,7 +198,7 @@ class CompositeStage:
     def _draw(self, batches: list[Batch], drawn: Drawn | None) -> None:
         kind = NO_VIEW if drawn is None else PERSPECTIVE if drawn.view.cube_axis < 0 else CUBE_FACE
         for (maps, ambients), first, count in batches:
-            variant = (kind, maps, ambients)
+            variant = (kind, maps, ambients, self._additive)
             program, vertex_array = self._variant(variant)
             self._panorama.bind(program)
             if variant not in self._prepared:

@@ -162,8 +162,7 @@ def set_uniforms(program: moderngl.Program, values: Mapping[str, object]) -> Non
         if not isinstance(member, moderngl.Uniform):
             continue
         if isinstance(value, np.ndarray):
-            length = member.array_length
-            used = value[:length] if length > 1 else value  # the compiler cuts an array to what it reads
+            used = value.ravel()[:member.array_length * member.dimension]   # the compiler cuts an array to what it reads
             member.write(np.ascontiguousarray(used, dtype="f4").tobytes())
         else:
             member.value = value

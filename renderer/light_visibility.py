@@ -16,8 +16,8 @@ from renderer.gl import Context, release_all, set_uniforms
 from renderer.gpu_mesh import PlacedMesh
 from renderer.light_detection import Light
 from renderer.light_discs import hardly_moved
+from renderer.near_field import Body
 from renderer.placement import View, looking_along
-from renderer.shapes import Solid
 from renderer.surfaces import FIRST_UNIT, SurfaceStage, ViewTarget
 
 Array = NDArray[np.floating]
@@ -29,13 +29,10 @@ _MARGIN = 1.02
 
 @dataclass(frozen=True)
 class Receiver:
-    """An object with the solid that stands for it where only its reach matters, (3,) how much light it gives back, and whether it
-    throws shadows at all."""
+    """An object, how its surroundings see it, and whether it throws shadows at all."""
 
     placed: PlacedMesh
-    solid: Solid
-    is_convex: bool
-    albedo: Array
+    body: Body
     casts: bool
 
 
@@ -44,8 +41,9 @@ class _Kept:
     texture: moderngl.Texture
     framebuffer: moderngl.Framebuffer
     view: View
-    casters: tuple[tuple[int, ...], ...]
+    casters: tuple[bytes, ...]
     lights: tuple[Light, ...]
+    number: int = 0
 
 
 class LightVisibilityStage:
@@ -62,31 +60,35 @@ class LightVisibilityStage:
         self._program = context.program("full_screen.vert.glsl", "light_visibility.frag.glsl")
         self._triangle = gl.vertex_array(self._program, [])
         self._kept: dict[ViewTarget, _Kept] = {}
+        self._drawn = 0
         self.all_visible = context.texture((1, 1), 4, "f1", linear=False)
         self.all_visible.write(b"\xff\xff\xff\xff")
 
     def texture(self, target: ViewTarget, view: View, receivers: tuple[Receiver, ...],
-                lights: tuple[Light, ...]) -> moderngl.Texture:
-        """A channel for each of the first `MAX_LIGHTS`: the share of it that is visible from the surface in a pixel of the view."""
+                lights: tuple[Light, ...]) -> tuple[moderngl.Texture, int]:
+        """A channel for each of the first `MAX_LIGHTS`: the share of it that is visible from the surface in a pixel of the view.
+        The number is another one whenever the content is."""
         strong = lights[:MAX_LIGHTS]
         casters = tuple(_casters(view.members, receivers, light) if _matters(light, lights) else () for light in strong)
         if not any(casters):
-            return self.all_visible
+            return self.all_visible, 0
+        states = tuple(b"".join(receivers[index].placed.state() for index in indices) for indices in casters)
         kept = self._kept.get(target)
-        if kept is not None and kept.view is view and kept.casters == casters and len(kept.lights) == len(strong) and all(
+        if kept is not None and kept.view is view and kept.casters == states and len(kept.lights) == len(strong) and all(
                 hardly_moved(before, now) for before, now in zip(kept.lights, strong, strict=True)):
-            return kept.texture
+            return kept.texture, kept.number
         if kept is None:
             texture = self._context.texture(target.texture.size, 4, "f1", linear=False)
-            kept = _Kept(texture, self._context.gl.framebuffer([texture]), view, casters, strong)
+            kept = _Kept(texture, self._context.gl.framebuffer([texture]), view, states, strong)
             self._kept[target] = kept
-        kept.view, kept.casters, kept.lights = view, casters, strong
+        kept.view, kept.casters, kept.lights = view, states, strong
+        kept.number = self._drawn = self._drawn + 1
         kept.framebuffer.use()
         kept.framebuffer.clear(1.0, 1.0, 1.0, 1.0)
         for channel, (light, indices) in enumerate(zip(strong, casters, strict=True)):
             if indices:
                 self._add(kept, target, channel, light, [receivers[i] for i in view.members], [receivers[i] for i in indices])
-        return kept.texture
+        return kept.texture, kept.number
 
     def _add(self, kept: _Kept, target: ViewTarget, channel: int, light: Light, seen: list[Receiver],
              casters: list[Receiver]) -> None:
@@ -131,7 +133,7 @@ def _casters(members: tuple[int, ...], receivers: tuple[Receiver, ...], light: L
     found = []
     for index, caster in enumerate(receivers):
         if caster.casts and any(_may_hide(caster, receivers[member], light) for member in members
-                                if member != index or not caster.is_convex):
+                                if member != index or not caster.body.is_convex):
             found.append(index)
     return tuple(found)
 
@@ -139,15 +141,15 @@ def _casters(members: tuple[int, ...], receivers: tuple[Receiver, ...], light: L
 def _may_hide(caster: Receiver, receiver: Receiver, light: Light) -> bool:
     if caster is receiver:
         return True
-    towards = caster.solid.centre - receiver.solid.centre
+    towards = caster.body.solid.centre - receiver.body.solid.centre
     along = float(towards @ light.direction)
-    reach = caster.solid.radius + receiver.solid.radius
+    reach = caster.body.solid.radius + receiver.body.solid.radius
     aside = float(np.linalg.norm(towards - along * light.direction))
     return along > -reach and aside < reach + max(along, 0.0) * np.tan(light.angular_radius)
 
 
 def _box(rotation: Array, items: list[Receiver]) -> tuple[Array, Array]:
     """Low and high corner in the light's axes of the spheres around some objects."""
-    centres = np.array([item.solid.centre for item in items]) @ rotation.T
-    radii = _MARGIN * np.array([item.solid.radius for item in items])[:, None]
+    centres = np.array([item.body.solid.centre for item in items]) @ rotation.T
+    radii = _MARGIN * np.array([item.body.solid.radius for item in items])[:, None]
     return (centres - radii).min(axis=0), (centres + radii).max(axis=0)

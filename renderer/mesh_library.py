@@ -18,20 +18,28 @@ class MeshLibrary:
         self._upload = upload
         self._assets = assets
         self._mesh_root = mesh_root
-        self._loaded: dict[str, tuple[float, GpuMesh | GltfError]] = {}
+        self._loaded: dict[tuple[str, str], tuple[float, GpuMesh | GltfError]] = {}
 
-    def get(self, name: str) -> GpuMesh:
-        """The mesh of that name. Raises GltfError, the same one again without reading the file again."""
+    def get(self, name: str, owner: str = "") -> GpuMesh:
+        """The mesh of that name; with an `owner` one of its own, because its vertices move. Raises GltfError, the same one again
+        without reading the file again."""
         path = self._path(name)
         modified = _modified(path)
-        kept = self._loaded.get(name)
+        kept = self._loaded.get((name, owner))
         if kept is None or kept[0] != modified:
             if kept is not None and isinstance(kept[1], GpuMesh):
                 kept[1].release()
-            kept = self._loaded[name] = (modified, self._load(name, path))
+            kept = self._loaded[name, owner] = (modified, self._load(name, path))
         if isinstance(kept[1], GltfError):
             raise kept[1]
         return kept[1]
+
+    def keep(self, wanted: set[tuple[str, str]]) -> None:
+        """Release the meshes of owners that are not among these names and owners."""
+        for key in [key for key in self._loaded if key[1] and key not in wanted]:
+            mesh = self._loaded.pop(key)[1]
+            if isinstance(mesh, GpuMesh):
+                mesh.release()
 
     def state(self, names: Iterable[str]) -> dict[str, float]:
         """When each of these was last changed on disk; equal states mean equal meshes."""

@@ -107,7 +107,7 @@ def _about(normals: Array, local: Array) -> Array:
     return np.asarray(np.einsum("nkc,ncd->nkd", local, np.stack([right, up, normals], axis=1)))
 
 
-def _texels(directions: Array, rows: int) -> NDArray[np.intp]:
+def texels(directions: Array, rows: int) -> NDArray[np.intp]:
     """Flat index into a (rows, 2 * rows) map of the texel in each direction."""
     uv = uv_from_direction(directions)
     row = np.minimum((uv[..., 1] * rows).astype(np.intp), rows - 1)
@@ -180,7 +180,7 @@ class NearField:
         directions = _about(body.normals, _cosine_directions(RAYS, POINTS))
         origins = np.repeat(body.points + body.normals * 1e-3 * body.solid.radius, RAYS, axis=0)
         rays = directions.reshape(-1, 3)
-        self._sky = _texels(rays, rows)
+        self._sky = texels(rays, rows)
         nearest, met, normals = np.full(len(rays), np.inf), np.full(len(rays), -1), np.zeros((len(rays), 3))
         for index, other in enumerate(others):
             distance, normal = other.solid.hit(origins, rays)
@@ -197,10 +197,10 @@ class NearField:
             self._patch = _GroundPatch(body, [b.solid for b in (body, *others)], ground_y)
             ground = origins[self._on_ground] + rays[self._on_ground] * down[self._on_ground, None]
             self._ground_cells = self._patch.cell(ground)
-            self._ground_texels = _texels(ground / np.linalg.norm(ground, axis=1, keepdims=True), rows)
-            self._patch_sky = _texels(self._patch.directions, rows)
+            self._ground_texels = texels(ground / np.linalg.norm(ground, axis=1, keepdims=True), rows)
+            self._patch_sky = texels(self._patch.directions, rows)
         self._met = [(index, np.flatnonzero(met == index)) for index in range(len(others)) if (met == index).any()]
-        self._met_normals = [_texels(normals[rows_], rows) for _, rows_ in self._met]
+        self._met_normals = [texels(normals[rows_], rows) for _, rows_ in self._met]
         self._size = 2 * body.solid.radius
         basis = functions(body.points, body.normals, body.solid.centre, self._size, -1e9 if ground_y is None else ground_y)
         self._solver = np.linalg.solve(basis.T @ basis + RIDGE * len(basis) * np.eye(FUNCTIONS), basis.T)

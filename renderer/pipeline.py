@@ -9,11 +9,11 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from renderer.bounce import bounced
 from renderer.color import srgb_from_linear
 from renderer.composite import CompositeStage, DrawView, GroundLight, Touched
 from renderer.frame import Frame, RadianceFrame, RgbFrame, YuvFrame, check_size
 from renderer.gl import Context, release_all
-from renderer.gltf import GltfError, transform
 from renderer.gpu_mesh import GpuMesh, PlacedMesh
 from renderer.inverse_tone_mapping import WEIGHTS, linear_from_radiance
 from renderer.irradiance import disc_cosine, irradiance
@@ -21,15 +21,15 @@ from renderer.light_detection import MAX_LIGHTS, Light
 from renderer.light_reading import FrameAccess, FrameLight, LightReader
 from renderer.light_refinement import MomentStage
 from renderer.light_visibility import Receiver
-from renderer.mesh import Surface
-from renderer.mesh_library import MeshLibrary
 from renderer.panorama import PanoramaTextures
-from renderer.placement import TILE, TileMask, View, plan_views, touched_tiles
+from renderer.placement import TILE, TileMask, View, touched_tiles
+from renderer.placing import Placement, Placer
 from renderer.radiance_map import RadianceMapStage, packed_pixels
 from renderer.ring_sampling import RingSource
-from renderer.scene import Lighting, Scene, SceneObject
+from renderer.scene import Lighting, Scene
 from renderer.shading import MIRROR_BELOW, Illumination, ShadingStage, is_sharp, may_mirror
-from renderer.shadows import ShadowMap, ShadowStage, world_points
+from renderer.shadow_mapping import screen_space_occlusion
+from renderer.shadows import ShadowMap, ShadowStage
 from renderer.specular import prefilter_all, quantized_roughness
 from renderer.surfaces import SurfaceStage
 from renderer.surroundings import Surroundings
@@ -41,15 +41,6 @@ Array = NDArray[np.float64]
 UP = np.array([0.0, 1.0, 0.0])
 MIN_CAMERA_DISTANCE_M = 0.05
 MIN_GROUND_SHARE = 0.02    # of the ground's irradiance; weaker lights cast no visible shadow
-
-
-@dataclass(frozen=True)
-class Placement:
-    """The objects that can be drawn, by id; the views that show them; what is wrong with the others."""
-
-    objects: dict[str, PlacedMesh]
-    views: list[View]
-    errors: dict[str, str]
 
 
 @dataclass(frozen=True)
@@ -96,9 +87,9 @@ class Pipeline:
         self._radiance = RadianceMapStage(context, self._panorama)
         self._surfaces = SurfaceStage(context)
         self._shading = ShadingStage(context, self._panorama, self._surfaces, self._radiance.texture)
-        self._shadows = ShadowStage(context, size)
+        self._shadows = ShadowStage(context, size, self._surfaces)
         self._composite = CompositeStage(context, self._panorama)
-        self._meshes = MeshLibrary(lambda mesh: GpuMesh(context, self._surfaces.programs, mesh), assets, mesh_root)
+        self._placer = Placer(lambda mesh: GpuMesh(context, self._surfaces.programs, mesh), size, assets, mesh_root)
         self._reader = LightReader()
         self._surroundings = Surroundings()
         is_reduced = self._radiance.size[0] < size[0] or self._radiance.size[1] < size[1]
@@ -107,13 +98,13 @@ class Pipeline:
         self._upper: RadianceMapStage | None = None     # made when it is first wanted
         self._rings: RingSource | None = None
         self._lit: _Lit | None = None
+        self._illuminations = 0
         self._shadow_tiles: dict[tuple[ShadowMap, float], TileMask] = {}
-        self._last_placement: tuple[Scene, dict[str, float], Placement] | None = None
 
     @property
     def placement(self) -> Placement | None:
         """Where the objects of the scene that was rendered last stand."""
-        return None if self._last_placement is None else self._last_placement[2]
+        return None if self._placer.last is None else self._placer.last[1]
 
     def analyse(self, frame: Frame, moment: float | None = None, lighting: Lighting | None = None) -> tuple[FrameLight, Timings]:
         """Find the light of a frame shown at `moment` seconds without compositing anything."""
@@ -133,9 +124,8 @@ class Pipeline:
         self._context.assert_own_thread()
         check_size(frame)
         timings = Timings()
-        visible = [item for item in scene.objects if item.visible]
         with timings.stage("place"):
-            placement = self._placement(scene, visible)
+            placement = self._placer.place(scene, moment)
         rings = scene.lighting.method("glossy") == "rings36" and bool(placement.objects)
         with timings.stage("upload"):
             self._panorama.write(frame, only_packed=not (rings or any(map(may_mirror, placement.objects.values()))))
@@ -145,8 +135,8 @@ class Pipeline:
         if rings:
             with timings.stage("glossy"):
                 self._fill_rings(light)
-        if not visible:
-            return Rendered(frame if output is None else _copied(frame, output), light, 0.0, timings, {})
+        if not placement.objects:
+            return Rendered(frame if output is None else _copied(frame, output), light, 0.0, timings, placement.errors)
         lit = self._light_scene(scene, light, placement, timings)
         with timings.stage("objects_and_composite"):
             draw_view = self._drawing(placement)
@@ -166,11 +156,12 @@ class Pipeline:
     def prepare(self, light: FrameLight) -> Timings:
         """Do now what the next frame would need first to be lit by this light, if its scene is that of the last frame."""
         timings = Timings()
-        if self._last_placement is not None and self._last_placement[2].objects:
-            scene, _, placement = self._last_placement
+        last = self._placer.last
+        if last is not None and last[1].objects:
+            scene, placement = last
             self._light_scene(scene, light, placement, timings)
             with timings.stage("objects_and_composite"):
-                self._shading.draw_still(placement.views, list(placement.objects.values()))
+                self._shading.draw_still(_still_views(placement), list(placement.objects.values()))
                 self._context.gl.finish()
         return timings
 
@@ -198,38 +189,6 @@ class Pipeline:
             self._upper = RadianceMapStage(self._context, self._panorama, (THRESHOLD_WIDTH, THRESHOLD_HEIGHT))
         return self._upper.run_rows(THRESHOLD_HEIGHT // 2)
 
-    def _placement(self, scene: Scene, visible: list[SceneObject]) -> Placement:
-        """Where the scene's objects stand; kept until the scene or a model's file changes."""
-        meshes = self._meshes.state(item.mesh for item in visible)
-        if self._last_placement is None or self._last_placement[0] is not scene or self._last_placement[1] != meshes:
-            placed, errors = self._place(visible, scene)
-            outlines = [world_points(item) for item in placed.values()]
-            tiles = [touched_tiles(points, self._size) for points in outlines]
-            placement = Placement(placed, plan_views(outlines, tiles, self._size), errors)
-            self._last_placement = (scene, self._meshes.state(item.mesh for item in visible), placement)
-        return self._last_placement[2]
-
-    def _place(self, visible: list[SceneObject], scene: Scene) -> tuple[dict[str, PlacedMesh], dict[str, str]]:
-        placed: dict[str, PlacedMesh] = {}
-        errors = {item.id: f"local surface {item.id!r} is not rendered yet" for item in scene.local_scene}
-        for item in visible:
-            try:
-                mesh = self._meshes.get(item.mesh)
-            except GltfError as error:
-                errors[item.id] = str(error)
-                continue
-            candidate = PlacedMesh(mesh, transform(item.position, item.rotation, item.scale), _surface(item, mesh))
-            points = world_points(candidate)
-            if _contains_camera(points):
-                errors[item.id] = f"object {item.id!r} contains the camera, expected it to stay clear of the origin"
-            elif scene.ground.catcher and points[:, 1].max() <= -scene.camera_height:
-                errors[item.id] = f"object {item.id!r} is below the ground at y = {-scene.camera_height:g}"
-            else:
-                placed[item.id] = candidate
-                if item.animation is not None:
-                    errors[item.id] = f"animation {item.animation.clip!r} of object {item.id!r} is not played yet"
-        return placed, errors
-
     def _light_scene(self, scene: Scene, light: FrameLight, placement: Placement, timings: Timings) -> _Lit:
         """What follows from light and placement together; kept until one of them is another."""
         if self._lit is not None and self._lit.light is light and self._lit.placement is placement and (
@@ -238,34 +197,55 @@ class Pipeline:
         with timings.stage("glossy"):
             self._surfaces.keep(placement.views)
             rings = self._rings.texture if self._rings is not None and scene.lighting.method("glossy") == "rings36" else None
-            self._shading.set_illumination(self._illumination(scene, light, placement, rings))
+            if self._only_poses_differ(scene, light, placement):
+                self._shading.set_receivers(*self._receivers(scene, placement))
+            else:
+                self._shading.set_illumination(self._illumination(scene, light, placement, rings))
         with timings.stage("shadows"):
             ground = self._ground_light(scene, light)
             maps, ambient = self._cast(scene, placement.objects, light, ground) if ground else ([], [])
-            self._reflect_ground(placement, ground, maps, ambient)
+            if rings is None:
+                self._reflect_ground(placement, ground, maps, ambient)
         self._lit = _Lit(light, scene.lighting, placement, ground, maps, ambient)
         return self._lit
 
+    def _only_poses_differ(self, scene: Scene, light: FrameLight, placement: Placement) -> bool:
+        """From what the last illumination was made for."""
+        return (self._lit is not None and self._lit.light is light and self._lit.lighting == scene.lighting
+                and placement.is_later_than(self._lit.placement))
+
     def _illumination(self, scene: Scene, light: FrameLight, placement: Placement, rings: moderngl.Texture | None) -> Illumination:
-        surfaces = [surface for item in placement.objects.values() for surface in item.surfaces]
-        wanted = {quantized_roughness(s.roughness) for s in surfaces if s.roughness >= MIRROR_BELOW and rings is None}
+        found = set().union(*(item.roughnesses for item in placement.objects.values()))
+        wanted = {quantized_roughness(value) for value in found if value >= MIRROR_BELOW and rings is None}
         lights = tuple(item for item in _rendered(light) if not item.is_wide)
         ground_y = -scene.camera_height if scene.ground.catcher else None
-        near = self._surroundings.fits(placement.objects, ground_y, light.soft, light.irradiance, lights)
+        # the papers' map knows nothing near
+        near = () if scene.lighting.method("diffuse").startswith("map") else self._surroundings.fits(
+            placement.objects, ground_y, light.soft, light.irradiance, lights)
+        receivers, occluders = self._receivers(scene, placement)
+        self._illuminations += 1
+        lobes = prefilter_all(light.soft, wanted)
+        return Illumination(light.irradiance, lights, lobes, ground_y, rings, near, receivers, occluders,
+                            self._illuminations)
+
+    def _receivers(self, scene: Scene, placement: Placement) -> tuple[tuple[Receiver, ...], tuple[Receiver, ...]]:
+        """The objects, and the real things that are told of."""
         casting = {item.id for item in scene.objects if item.casts_shadow}
-        receivers = tuple(Receiver(placement.objects[name], body.solid, body.is_convex, body.albedo, name in casting)
-                          for name, body in self._surroundings.bodies(placement.objects).items())
-        return Illumination(light.irradiance, lights, prefilter_all(light.soft, wanted), ground_y, rings, near, receivers)
+        bodies = self._surroundings.bodies(placement.objects)
+        return (tuple(Receiver(placement.objects[name], body, name in casting) for name, body in bodies.items()),
+                tuple(Receiver(item, self._surroundings.body(item), True) for item in placement.occluders))
 
     def _ground_light(self, scene: Scene, light: FrameLight) -> GroundLight | None:
         if not scene.ground.catcher:
             return None
         lights = [item.irradiance * float(disc_cosine(item.direction @ UP, item.angular_radius)) for item in _rendered(light)]
         ambient = np.maximum(irradiance(light.coefficients, UP), 0.0)
-        return GroundLight(-scene.camera_height, ambient + sum(lights, np.zeros(3)), lights)
+        return GroundLight(-scene.camera_height, ambient + sum(lights, np.zeros(3)), lights,
+                           additive=scene.lighting.method("composite") == "additive")
 
     def _cast(self, scene: Scene, placed: dict[str, PlacedMesh], light: FrameLight,
               ground: GroundLight) -> tuple[list[Touched], list[Touched]]:
+        filtered = scene.lighting.method("shadows") == "pcf"
         casters = {item.id: placed[item.id] for item in scene.objects if item.id in placed and item.casts_shadow}
         gate = MIN_GROUND_SHARE * float(ground.total @ WEIGHTS)
         self._shadows.begin(set(casters), {item.id for item in _rendered(light)})
@@ -274,18 +254,33 @@ class Pipeline:
         for key, caster in casters.items():
             for index, item in enumerate(_rendered(light)):
                 if ground.lights[index] @ WEIGHTS > gate:
-                    maps.append(self._shadows.light_shadow(key, caster, item, index, ground.y))
+                    maps.append(self._shadows.light_shadow(key, caster, item, index, ground.y, filtered=filtered))
             ambient.append(self._shadows.ambient_shadow(key, caster, ground.y))
-        self._shadows.weigh_ambient([shadow for shadow in ambient if shadow is not None], light.coefficients[:9])
+        by_object = {key: shadow for key, shadow in zip(casters, ambient, strict=True) if shadow is not None}
+        if filtered:
+            self._shadows.weigh_ambient(list(by_object.values()), [screen_space_occlusion(light.coefficients)] * len(by_object))
+        else:
+            self._weigh_ambient(by_object, placed, light, ground.y)
 
         touched = self._touched([shadow for shadow in (*maps, *ambient) if shadow is not None], ground.y)
         return [item for item in touched if item.shadow.light >= 0], [item for item in touched if item.shadow.light < 0]
+
+    def _weigh_ambient(self, shadows: dict[str, ShadowMap], placed: dict[str, PlacedMesh], light: FrameLight,
+                       ground_y: float) -> None:
+        lights = tuple(item for item in _rendered(light) if not item.is_wide)
+        near = dict(zip(placed, self._shading.near, strict=False))
+        hidden = [light.coefficients[:9] for _ in shadows]
+        for index, key in enumerate(shadows):
+            if key in near:
+                body = self._surroundings.body(placed[key])
+                hidden[index] = hidden[index] - bounced(body, near[key], light.irradiance, lights, ground_y)
+        self._shadows.weigh_ambient(list(shadows.values()), hidden)
 
     def _reflect_ground(self, placement: Placement, ground: GroundLight | None, maps: list[Touched],
                         ambient: list[Touched]) -> None:
         """Have the ground's shadows ready for those objects that are smooth enough to show them."""
         objects = placement.objects.values()
-        if ground is not None and any(item.is_textured or any(map(is_sharp, item.surfaces)) for item in objects):
+        if ground is not None and any(item.is_detailed or any(map(is_sharp, item.surfaces)) for item in objects):
             self._shading.ground_missing.draw([item.shadow for item in maps], [item.shadow for item in ambient], ground.lights,
                                               ground.total, self._shadows)
 
@@ -321,9 +316,15 @@ class Pipeline:
 
     def release(self) -> None:
         self._context.rest()
-        self._meshes.release()
+        self._placer.release()
         release_all(self._composite, self._shadows, self._shading, self._surfaces, self._upper, self._rings, self._moments,
                     self._radiance, self._panorama)
+
+
+def _still_views(placement: Placement) -> list[View]:
+    """Those that no animation changes before the next frame."""
+    moving = {index for index, name in enumerate(placement.objects) if name in placement.moving}
+    return [view for view in placement.views if not moving & set(view.members)]
 
 
 def _copied(frame: Frame, output: YuvFrame | None) -> YuvFrame:
@@ -338,15 +339,3 @@ def _copied(frame: Frame, output: YuvFrame | None) -> YuvFrame:
 def _rendered(light: FrameLight) -> tuple[Light, ...]:
     """The strongest lights; the methods of the papers set no limit to their number."""
     return light.detection.lights[:MAX_LIGHTS]
-
-
-def _surface(item: SceneObject, mesh: GpuMesh) -> Surface | None:
-    if item.material is None:
-        return None
-    r, g, b = item.material.base_color
-    return Surface((r, g, b, 1.0), item.material.metallic, item.material.roughness, item.material.emissive,
-                   double_sided=any(part.surface.double_sided for part in mesh.parts))
-
-
-def _contains_camera(points: Array) -> bool:
-    return bool((points.min(axis=0) < MIN_CAMERA_DISTANCE_M).all() and (points.max(axis=0) > -MIN_CAMERA_DISTANCE_M).all())

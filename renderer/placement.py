@@ -19,7 +19,8 @@ TILE = 16                          # pixels; even, so that chroma blocks are who
 MARGIN_PIXELS = 2
 MAX_VIEW_HALF_ANGLE = np.radians(50.0)
 NEAR_M = 0.02
-DENSITY = 1.0                      # view pixels per panorama pixel, at the centre of the view
+MAX_DENSITY = 2.0                  # view pixels per panorama pixel, at the centre of a view: at least 1, and more for a small one,
+VIEW_PIXELS = 20_000               # which is edges for the most part, up to this many in all
 MAX_VIEW_SIZE = 2048
 
 
@@ -70,7 +71,8 @@ def touched_tiles(points: Array, frame_size: tuple[int, int]) -> TileMask:
 @dataclass(frozen=True)
 class View:
     """A perspective view from the origin. Rows of `rotation` are right, up, forward; `bounds` are left, right, bottom, top on
-    the tangent plane; `cube_axis` is the face 2 * axis + negative, or -1 when the view is no cube face."""
+    the tangent plane; `cube_axis` is the face 2 * axis + negative, or -1 when the view is no cube face;
+    `density`, view pixels per panorama pixel."""
 
     rotation: Array
     bounds: tuple[float, float, float, float]
@@ -79,6 +81,7 @@ class View:
     members: tuple[int, ...]
     tiles: TileMask
     cube_axis: int = -1
+    density: float = 1.0
 
     def clip_from_world(self) -> Array:
         """(4, 4) OpenGL projection times rotation."""
@@ -139,11 +142,15 @@ def looking_along(forward: Array) -> Array:
     return np.stack([right, np.cross(right, forward), forward])
 
 
-def _size(bounds: tuple[float, float, float, float], frame_size: tuple[int, int]) -> tuple[int, int]:
-    density = DENSITY * frame_size[0] / (2 * np.pi)
+def _size(bounds: tuple[float, float, float, float], frame_size: tuple[int, int]) -> tuple[tuple[int, int], float]:
+    """The size of a view, and its pixels per panorama pixel."""
     left, right, bottom, top = bounds
-    width, height = (int(np.clip(np.ceil(extent * density), 8, MAX_VIEW_SIZE)) for extent in (right - left, top - bottom))
-    return width, height
+    panorama = frame_size[0] / (2 * np.pi)
+    pixels = (right - left) * (top - bottom) * panorama**2
+    density = float(np.clip(np.sqrt(VIEW_PIXELS / max(pixels, 1e-9)), 1.0, MAX_DENSITY))
+    width, height = (int(np.clip(np.ceil(extent * panorama * density), 8, MAX_VIEW_SIZE))
+                     for extent in (right - left, top - bottom))
+    return (width, height), density
 
 
 def _single_view(points: Array, axis: Array, frame_size: tuple[int, int], depth_range: tuple[float, float],
@@ -155,7 +162,8 @@ def _single_view(points: Array, axis: Array, frame_size: tuple[int, int], depth_
     left, bottom = tangent.min(axis=0) - margin
     right, top = tangent.max(axis=0) + margin
     bounds = (float(left), float(right), float(bottom), float(top))
-    return View(rotation, bounds, _size(bounds, frame_size), depth_range, members, mask)
+    size, density = _size(bounds, frame_size)
+    return View(rotation, bounds, size, depth_range, members, mask, density=density)
 
 
 def _cube_face(face: int, frame_size: tuple[int, int], depth_range: tuple[float, float], members: tuple[int, ...],
@@ -163,4 +171,5 @@ def _cube_face(face: int, frame_size: tuple[int, int], depth_range: tuple[float,
     forward = np.zeros(3)
     forward[face // 2] = -1.0 if face % 2 else 1.0
     bounds = (-1.01, 1.01, -1.01, 1.01)
-    return View(looking_along(forward), bounds, _size(bounds, frame_size), depth_range, members, mask, face)
+    size, density = _size(bounds, frame_size)
+    return View(looking_along(forward), bounds, size, depth_range, members, mask, face, density)

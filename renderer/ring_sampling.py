@@ -1,6 +1,7 @@
 """The papers' source of glossy light: the whole frame as radiance with a chain of mip levels, made anew for every frame.
 
-Iorns & Rhee 2015, sections 3.2 and 5; `shaders/rings.glsl` samples it. The baseline of `specular.py`.
+Iorns & Rhee 2015, sections 3.2 and 5; `shaders/rings.glsl` samples it. The baseline of `specular.py`. As in the paper every
+reflected ray, a mirror's too, looks up the distant frame: no ground plane, no shadows on it, no neighbours.
 """
 
 from __future__ import annotations

@@ -115,8 +115,6 @@ class Ground(_Value):
 STAGES = ("diffuse", "glossy", "lights", "shadows", "composite")
 PRESETS = {"default": dict(zip(STAGES, ("auto", "ggx", "default", "area", "ratio"), strict=True)),
            "paper": dict(zip(STAGES, ("map32x16", "rings36", "threshold", "pcf", "additive"), strict=True))}
-# The contract names more methods than this version has; they are refused by name rather than quietly replaced.
-NOT_AVAILABLE = {"preset": "paper", "shadows": "pcf", "composite": "additive"}
 MAX_GAIN = 1e4
 
 
@@ -130,7 +128,7 @@ def _diffuse_map(value: str) -> str:
 
 
 class Lighting(_Value):
-    """The method of each stage: a preset, single stages overridden.
+    """The method of each stage: a preset, single stages overridden. `paper`: those of Iorns & Rhee and of MR360.
 
     `light_count`: of the probe. `threshold`: standard deviations above the mean from which on a light is looked for. `gain`: factor
     for lights that the camera clips, in place of the estimate.
@@ -145,14 +143,6 @@ class Lighting(_Value):
     gain: Annotated[float, Field(ge=0.1, le=MAX_GAIN)] | None = None
     shadows: Literal["area", "pcf"] | None = None
     composite: Literal["ratio", "additive"] | None = None
-
-    @model_validator(mode="after")
-    def _available(self) -> Lighting:
-        for name, value in NOT_AVAILABLE.items():
-            if getattr(self, name) == value:
-                expected = PRESETS["default"].get(name, "default")
-                raise ValueError(f"{name} {value!r} is not available yet, expected {expected!r}")
-        return self
 
     def method(self, stage: str) -> str:
         """The method in use for one of `STAGES`."""

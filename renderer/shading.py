@@ -43,12 +43,14 @@ class Illumination:
     rings: moderngl.Texture | None = None
     near: tuple[Fit, ...] = ()      # of each object, by its index
     receivers: tuple[Receiver, ...] = ()    # the same
+    occluders: tuple[Receiver, ...] = ()    # real things, which hide lights and objects
+    number: int = 0                         # the same as long as only what casts shadows moves
 
 
 class Shading(NamedTuple):
     """What a view's pixels need; each combination in use is a program of its own."""
 
-    textured: bool
+    detailed: bool
     lights: int
     lobes: bool
     mirrors: bool
@@ -66,8 +68,8 @@ class _Shaded:
     """What the picture in a view's target was made from."""
 
     table: moderngl.Texture
-    table_of: Illumination | None = None
-    lit_by: Illumination | None = None
+    table_of: int | None = None             # numbers of the illumination
+    lit_by: tuple[int, int] | None = None   # and of the lights' visibility
 
 
 class Drawn(NamedTuple):
@@ -80,8 +82,8 @@ class Drawn(NamedTuple):
 
 
 def may_mirror(placed: PlacedMesh) -> bool:
-    """Whether a part is smooth enough to show the frame itself; a textured one may be."""
-    return placed.is_textured or any(surface.roughness < MIRROR_BELOW for surface in placed.surfaces)
+    """Whether a part is smooth enough to show the frame itself; a detailed one may be."""
+    return placed.is_detailed or any(surface.roughness < MIRROR_BELOW for surface in placed.surfaces)
 
 
 def is_sharp(surface: Surface) -> bool:
@@ -114,7 +116,7 @@ class ShadingStage:
     def _shading_program(self, kind: Shading) -> tuple[moderngl.Program, moderngl.VertexArray]:
         if kind not in self._shading:
             program = self._context.program("full_screen.vert.glsl", "shade.frag.glsl", {
-                **self._panorama.defines, "TEXTURED": int(kind.textured), "LIGHTS": kind.lights,
+                **self._panorama.defines, "DETAILED": int(kind.detailed), "LIGHTS": kind.lights,
                 "HAS_LOBES": int(kind.lobes), "HAS_MIRRORS": int(kind.mirrors),
                 "HAS_REFLECTIONS": int(kind.reflects), "HAS_RINGS": int(kind.rings)})
             self._shading[kind] = (program, self._context.gl.vertex_array(program, []))
@@ -136,6 +138,16 @@ class ShadingStage:
             "has_ground": int(illumination.ground_y is not None),
         }
         self._surfaces.set_ground(illumination.ground_y)
+
+    @property
+    def near(self) -> tuple[Fit, ...]:
+        """The near field of each object in the light that was set last."""
+        return () if self._illumination is None else self._illumination.near
+
+    def set_receivers(self, receivers: tuple[Receiver, ...], occluders: tuple[Receiver, ...]) -> None:
+        """The same objects as they stand now, under the same light."""
+        if self._illumination is not None:
+            self._illumination = replace(self._illumination, receivers=receivers, occluders=occluders)
 
     def _set_lobes(self, irradiance: Array32, lobes: dict[float, Array32]) -> dict[str, object]:
         """Stack the filtered maps in one texture, each with a border of what lies across its seam and its poles."""
@@ -165,10 +177,12 @@ class ShadingStage:
     def draw(self, view: View, objects: list[PlacedMesh]) -> Drawn:
         """Draw and shade the view's members."""
         target, shaded, kind = self._prepared(view, objects)
+        visibility, number = self._light_visibility(view, target)
         # what no mirror shows is the same for as long as light and surfaces are
-        if kind.shows_frame or shaded.lit_by is not self._illumination:
-            self._shade(view, target, kind)
-            shaded.lit_by = self._illumination
+        lit_by = (0 if self._illumination is None else self._illumination.number, number)
+        if kind.shows_frame or shaded.lit_by != lit_by:
+            self._shade(view, target, kind, visibility)
+            shaded.lit_by = lit_by
         assert target.silhouette.texture is not None
         return Drawn(view, target.texture, target.silhouette.texture, target.silhouette.uv_from_tangent())
 
@@ -181,21 +195,24 @@ class ShadingStage:
     def _prepared(self, view: View, objects: list[PlacedMesh]) -> tuple[ViewTarget, _Shaded, Shading]:
         """The view's target with its surfaces drawn, and how they are to be shaded."""
         members = [objects[index] for index in view.members]
-        target, is_new = self._surfaces.drawn(view, members)
+        hiding = () if self._illumination is None else self._illumination.occluders
+        target, is_new = self._surfaces.drawn(view, members, tuple(item.placed for item in hiding))
         if target not in self._shaded:
             self._shaded[target] = _Shaded(self._context.texture((TABLE_WIDTH, MAX_SURFACES), 4, "f4", linear=False))
         shaded = self._shaded[target]
-        if is_new or shaded.table_of is not self._illumination:
+        number = None if self._illumination is None else self._illumination.number
+        if is_new or shaded.table_of != number:
             self._write_table(target, shaded.table)
-            shaded.table_of, shaded.lit_by = self._illumination, None
-        textured = any(item.is_textured for item in members)
+            shaded.table_of, shaded.lit_by = number, None
+        detailed = any(item.is_detailed for item in members)
         roughnesses = [surface.roughness for surface, _ in target.surfaces]
-        glossy = textured or max(roughnesses) >= MIRROR_BELOW
+        glossy = detailed or max(roughnesses) >= MIRROR_BELOW
+        rings = self._illumination is not None and self._illumination.rings is not None
         return target, shaded, Shading(
-            textured, self._slots, lobes=glossy and bool(self._lobe_cells),
-            mirrors=textured or min(roughnesses) < MIRROR_BELOW,
-            reflects=textured or any(is_sharp(surface) for surface, _ in target.surfaces),
-            rings=glossy and self._illumination is not None and self._illumination.rings is not None)
+            detailed, self._slots, lobes=glossy and bool(self._lobe_cells),
+            mirrors=detailed or min(roughnesses) < MIRROR_BELOW,
+            # the papers reflect the distant frame alone, in mirrors too
+            reflects=not rings and (detailed or any(is_sharp(surface) for surface, _ in target.surfaces)), rings=rings)
 
     def _write_table(self, target: ViewTarget, table: moderngl.Texture) -> None:
         """A row for each surface, from row 1."""
@@ -211,7 +228,7 @@ class ShadingStage:
         table.write(rows, viewport=(0, 0, TABLE_WIDTH, len(rows)))
 
     def compile_variants(self, view: View, objects: list[PlacedMesh]) -> None:
-        """Shade a view that has been drawn, once with each program that untextured objects may need."""
+        """Shade a view that has been drawn, once with each program that undetailed objects may need."""
         illumination = self._illumination
         if illumination is None:
             return
@@ -219,15 +236,18 @@ class ShadingStage:
         for slots in LIGHT_SLOTS:
             self.set_illumination(replace(illumination, lights=(Light(np.array([0.0, 1.0, 0.0]), np.ones(3), 0.01),) * slots))
             for lobes, mirrors, reflects in ((True, False, False), (True, False, True), (False, True, True), (True, True, True)):
-                self._shade(view, target, Shading(False, slots, lobes, mirrors, reflects))
+                self._shade(view, target, Shading(False, slots, lobes, mirrors, reflects), self._visibility.all_visible)
         self.set_illumination(illumination)
         shaded.lit_by = None
 
-    def _shade(self, view: View, target: ViewTarget, kind: Shading) -> None:
+    def _light_visibility(self, view: View, target: ViewTarget) -> tuple[moderngl.Texture, int]:
+        light = self._illumination
+        if light is None or not light.receivers:
+            return self._visibility.all_visible, 0
+        return self._visibility.texture(target, view, (*light.receivers, *light.occluders), light.lights)
+
+    def _shade(self, view: View, target: ViewTarget, kind: Shading, visibility: moderngl.Texture) -> None:
         program, triangle = self._shading_program(kind)
-        visibility = self._visibility.all_visible
-        if self._illumination is not None and self._illumination.receivers:
-            visibility = self._visibility.texture(target, view, self._illumination.receivers, self._illumination.lights)
         target.shaded.use()
         target.shaded.viewport = (0, 0, *view.size)
         self._panorama.bind(program)
@@ -251,18 +271,18 @@ class ShadingStage:
         receivers = () if self._illumination is None else self._illumination.receivers
         if len(receivers) < 2:
             return {"solid_count": 0}
-        centre = np.mean([receivers[index].solid.centre for index in view.members], axis=0)
-        distance = [float(np.linalg.norm(item.solid.centre - centre)) for item in receivers]
+        centre = np.mean([receivers[index].body.solid.centre for index in view.members], axis=0)
+        distance = [float(np.linalg.norm(item.body.solid.centre - centre)) for item in receivers]
         nearest = sorted(range(len(receivers)), key=distance.__getitem__)[:MAX_SOLIDS]
         matrices, colors = np.zeros((MAX_SOLIDS, 4, 4)), np.zeros((MAX_SOLIDS, 4))
         kinds, lobes = np.zeros((MAX_SOLIDS, 3)), np.zeros((MAX_SOLIDS, 3))
         for slot, index in enumerate(nearest):
             item = receivers[index]
             surface = item.placed.surfaces[0]
-            matrices[slot] = item.solid.unit_from_world.T
-            colors[slot] = (*item.albedo, index)
+            matrices[slot] = item.body.solid.unit_from_world.T
+            colors[slot] = (*item.body.albedo, index)
             cell = self._lobe_cells.get(quantized_roughness(surface.roughness))
-            kinds[slot], lobes[slot] = (KINDS.index(item.solid.kind), surface.metallic, cell is None), cell or (0.0, 0.0, 0.0)
+            kinds[slot], lobes[slot] = (KINDS.index(item.body.solid.kind), surface.metallic, cell is None), cell or (0.0, 0.0, 0.0)
         return {"solid_count": len(nearest), "unit_from_world": matrices, "solid_color": colors, "solid_kind": kinds,
                 "solid_lobe": lobes}
 

@@ -19,6 +19,9 @@ from renderer.gl import GL_CLIP_DISTANCE0, Context, release_all, set_uniforms
 from renderer.gpu_mesh import GpuMesh, PlacedMesh
 from renderer.light_detection import Light
 from renderer.light_discs import STALE_SHARE, disc_directions, hardly_moved
+from renderer.proxy import Points, Triangles
+from renderer.shadow_mapping import ShadowMapping, filter_reach
+from renderer.surfaces import SurfaceStage
 
 Array = NDArray[np.float64]
 LIGHT, AMBIENT, FINE_LIGHT = 0, 1, 2     # proxies, each with the program it is drawn by
@@ -26,7 +29,7 @@ CELL = 128                 # texels a side of one light's shadow map
 AMBIENT_CELL = 64
 GRID = 8                   # cells a side of either atlas
 MAX_SAMPLES = 10
-SHARP = 4                   # texels; a narrower penumbra shows the corners of a coarse proxy
+SHARP = 12                  # texels; a narrower penumbra shows the corners of a coarse proxy
 AMBIENT_SAMPLES = 96
 FIRST_UNIT = 8            # texture units after the panorama's
 MIN_ELEVATION = np.sin(np.radians(3.0))   # of a sample; flatter ones would cast without end
@@ -81,11 +84,29 @@ class _KeptShadow:
     shadow: ShadowMap | None
 
 
+@dataclass
+class _Proxies:
+    """What casts one mesh's shadows, by the kind of shadow, in the pose of that number."""
+
+    points: list[moderngl.Buffer]
+    triangles: list[moderngl.Buffer]
+    arrays: list[moderngl.VertexArray]
+    pose_number: int
+
+    def add(self, gl: moderngl.Context, program: moderngl.Program, points: Points, triangles: Triangles) -> None:
+        self.points.append(gl.buffer(points.astype("f4").tobytes()))
+        self.triangles.append(gl.buffer(triangles.astype("i4").tobytes()))
+        self.arrays.append(gl.vertex_array(program, [(self.points[-1], "3f", "position")], index_buffer=self.triangles[-1],
+                                           index_element_size=4))
+
+
 class ShadowStage:
     """Owns the shadow programs and both atlases."""
 
-    def __init__(self, context: Context, frame_size: tuple[int, int]) -> None:
+    def __init__(self, context: Context, frame_size: tuple[int, int], surfaces: SurfaceStage) -> None:
         gl = self._gl = context.gl
+        self._context, self._surfaces = context, surfaces
+        self._mapping: ShadowMapping | None = None      # made when it is first wanted
         self._frame_size = frame_size
         self._light_program = context.program("shadow.vert.glsl", "shadow.frag.glsl")
         self._ambient_program = context.program("shadow.vert.glsl", "ambient_shadow.frag.glsl")
@@ -99,7 +120,7 @@ class ShadowStage:
         self._depth = [gl.depth_renderbuffer(size), gl.depth_renderbuffer(ambient_size)]
         self._target = gl.framebuffer([self.atlas], self._depth[0])
         self._ambient_target = gl.framebuffer(self.transfer, self._depth[1])
-        self._proxies: WeakKeyDictionary[GpuMesh, tuple[list[moderngl.Buffer], list[moderngl.VertexArray]]] = WeakKeyDictionary()
+        self._proxies: WeakKeyDictionary[GpuMesh, _Proxies] = WeakKeyDictionary()
         self._ambient: dict[str, tuple[bytes, ShadowMap]] = {}
         self._lights: dict[tuple[str, int], _KeptShadow] = {}
         self._weighed: tuple[list[ShadowMap], bytes] | None = None
@@ -108,14 +129,16 @@ class ShadowStage:
         set_uniforms(self._ambient_program, {"sample_direction": np.pad(upper, ((0, 128 - AMBIENT_SAMPLES), (0, 0))),
                                              "sample_count": AMBIENT_SAMPLES, "weight": np.pi / AMBIENT_SAMPLES})
 
-    def light_shadow(self, key: str, placed: PlacedMesh, light: Light, light_index: int, ground_y: float) -> ShadowMap | None:
-        """One object's shadow from one light, drawn unless the last one still holds. None when there is nothing to see.
+    def light_shadow(self, key: str, placed: PlacedMesh, light: Light, light_index: int, ground_y: float, *,
+                     filtered: bool = False) -> ShadowMap | None:
+        """One object's shadow from one light, drawn unless the last one still holds. None when there is nothing to see. `filtered`:
+        by the papers' method, `shadow_mapping.py`.
 
         It holds while object and ground are as they were and the light has moved by less than a quarter of its radius:
         the shadow's edge then errs by less than an eighth of its penumbra. Up to a whole radius it waits for its turn, one
         map a frame, so that a moving sun does not have all shadows drawn in the same frame.
         """
-        place = _place_state(placed, ground_y)
+        place = _place_state(placed, ground_y) + bytes([filtered])
         kept = self._lights.get((key, light.id))
         if kept is not None and kept.place == place:
             tolerance = STALE_SHARE if self._redrawn == 0 else 1.0
@@ -125,7 +148,8 @@ class ShadowStage:
         cell = kept.cell if kept is not None else self._free_cell()
         if cell is None:
             return None
-        shadow = self._draw_light_shadow(placed, light, ShadowMap(cell, (0, 0, 0, 0), light_index), ground_y)
+        draw = self._draw_filtered_shadow if filtered else self._draw_light_shadow
+        shadow = draw(placed, light, ShadowMap(cell, (0, 0, 0, 0), light_index), ground_y)
         self._lights[(key, light.id)] = _KeptShadow(cell, place, light, shadow)
         return shadow
 
@@ -134,7 +158,7 @@ class ShadowStage:
         return next((cell for cell in range(GRID * GRID) if cell not in used), None)
 
     def _draw_light_shadow(self, placed: PlacedMesh, light: Light, shadow: ShadowMap, ground_y: float) -> ShadowMap | None:
-        points = world_points(placed)
+        points = placed.outline()
         height = float(points[:, 1].max()) - ground_y
         rim = np.concatenate([[light.direction], disc_directions(light.direction, light.angular_radius, 12)])
         rim = rim[rim[:, 1] > MIN_ELEVATION]
@@ -158,6 +182,19 @@ class ShadowStage:
         self._draw(self._target, self._light_program, proxy, placed, shadow, ground_y, len(samples))
         return shadow
 
+    def _draw_filtered_shadow(self, placed: PlacedMesh, light: Light, shadow: ShadowMap, ground_y: float) -> ShadowMap | None:
+        points = placed.outline()
+        if float(points[:, 1].max()) <= ground_y or light.direction[1] <= MIN_ELEVATION:
+            return None
+        if self._mapping is None:
+            self._mapping = ShadowMapping(self._context, self._surfaces)
+        x0, z0, x1, z1 = _ground_rect(points, light.direction[None], ground_y)
+        x, z = filter_reach(points, light)
+        rect = (x0 - x, z0 - z, x1 + x, z1 + z)
+        shadow = replace(shadow, rect=rect, texels=self._texels(rect, ground_y))
+        self._mapping.fill(self._target, self._viewport(self._target, shadow), rect, ground_y, placed, points, light)
+        return shadow
+
     def ambient_shadow(self, key: str, placed: PlacedMesh, ground_y: float) -> ShadowMap | None:
         """What one object hides of the residual; drawn only when `key`'s geometry has changed."""
         state = _place_state(placed, ground_y)
@@ -166,7 +203,7 @@ class ShadowStage:
             return kept[1]
         cells = {entry[1].cell for entry in self._ambient.values()}
         cell = kept[1].cell if kept else next((c for c in range(GRID * GRID) if c not in cells), None)
-        points = world_points(placed)
+        points = placed.outline()
         if cell is None or float(points[:, 1].max()) <= ground_y:
             self._ambient.pop(key, None)
             return None
@@ -186,20 +223,21 @@ class ShadowStage:
         pixels = max(np.ptp(across) * self._frame_size[0], np.ptp(uv[:, 1]) * self._frame_size[1])
         return int(np.clip(np.ceil(pixels / 16) * 16, 48, CELL))
 
-    def weigh_ambient(self, shadows: list[ShadowMap], residual: Array) -> None:
-        """Turn the maps' transfer vectors into missing irradiance, by the residual's (9, 3) coefficients of this frame."""
-        if self._weighed == (shadows, residual.tobytes()):
+    def weigh_ambient(self, shadows: list[ShadowMap], hidden: list[Array]) -> None:
+        """Turn the maps' transfer vectors into missing irradiance. `hidden`: for each map (9, 3) coefficients of the radiance that
+        the object hides in this frame, less what it gives off itself; what is missing may be negative."""
+        state = b"".join(one.tobytes() for one in hidden)
+        if self._weighed == (shadows, state):
             return
-        self._weighed = (shadows, residual.tobytes())
+        self._weighed = (shadows, state)
         self._missing_target.use()
         for unit, texture in enumerate(self.transfer):
             texture.use(FIRST_UNIT + unit)
             set_uniforms(self._missing_program, {f"transfer_{unit}": FIRST_UNIT + unit})
-        set_uniforms(self._missing_program, {"residual_sh": residual})
-        for shadow in shadows:
+        for shadow, coefficients in zip(shadows, hidden, strict=True):
             viewport = (shadow.cell % GRID * AMBIENT_CELL, shadow.cell // GRID * AMBIENT_CELL, AMBIENT_CELL, AMBIENT_CELL)
             self._missing_target.viewport = viewport
-            set_uniforms(self._missing_program, {"cell": viewport})
+            set_uniforms(self._missing_program, {"cell": viewport, "hidden_sh": coefficients})
             self._missing_triangle.render(moderngl.TRIANGLES, 3)
 
     def begin(self, keys: set[str], lights: set[int]) -> None:
@@ -212,9 +250,7 @@ class ShadowStage:
     def _draw(self, target: moderngl.Framebuffer, program: moderngl.Program, which: int,
               placed: PlacedMesh, shadow: ShadowMap, ground_y: float, samples: int) -> None:
         gl = self._gl
-        cell = target.width // GRID
-        used = cell if shadow.light < 0 else shadow.texels
-        viewport = (shadow.cell % GRID * cell, shadow.cell // GRID * cell, used, used)
+        viewport = self._viewport(target, shadow)
         target.use()
         target.viewport = viewport
         target.clear(0.0, 0.0, 0.0, 0.0, depth=1.0, viewport=viewport)
@@ -228,34 +264,36 @@ class ShadowStage:
         gl.disable_direct(GL_CLIP_DISTANCE0)
         gl.enable_only(moderngl.NOTHING)
 
+    @staticmethod
+    def _viewport(target: moderngl.Framebuffer, shadow: ShadowMap) -> tuple[int, int, int, int]:
+        cell = target.width // GRID
+        used = cell if shadow.light < 0 else shadow.texels
+        return (shadow.cell % GRID * cell, shadow.cell // GRID * cell, used, used)
+
     def _proxy(self, placed: PlacedMesh) -> list[moderngl.VertexArray]:
+        mesh = placed.mesh.mesh
         if placed.mesh not in self._proxies:
-            mesh, buffers, arrays = placed.mesh.mesh, [], []
-            for program, (points, triangles) in ((self._light_program, mesh.proxy), (self._ambient_program, mesh.proxy),
-                                                 (self._light_program, mesh.fine_proxy)):
-                own = [self._gl.buffer(points.astype("f4").tobytes()), self._gl.buffer(triangles.astype("i4").tobytes())]
-                buffers += own
-                arrays.append(self._gl.vertex_array(program, [(own[0], "3f", "position")], index_buffer=own[1],
-                                                    index_element_size=4))
-            self._proxies[placed.mesh] = (buffers, arrays)
-        return self._proxies[placed.mesh][1]
+            proxies = (self._light_program, mesh.proxy), (self._ambient_program, mesh.proxy), (self._light_program, mesh.fine_proxy)
+            self._proxies[placed.mesh] = _Proxies([], [], [], 0)
+            for program, (points, triangles) in proxies:
+                self._proxies[placed.mesh].add(self._gl, program, points, triangles)
+        kept = self._proxies[placed.mesh]
+        if placed.pose is not None and kept.pose_number != placed.pose_number:
+            kept.pose_number = placed.pose_number
+            for buffer, fine in zip(kept.points, (False, False, True), strict=True):
+                buffer.write(mesh.posed_proxy(placed.pose, fine).astype("f4"))
+        return kept.arrays
 
     def release(self) -> None:
-        for buffers, arrays in self._proxies.values():
-            release_all(*arrays, *buffers)
+        for kept in self._proxies.values():
+            release_all(*kept.arrays, *kept.points, *kept.triangles)
         release_all(self._missing_target, self._missing_triangle, self._missing_program, self.ambient_atlas)
         release_all(self._target, self._ambient_target, self.atlas, *self.transfer, *self._depth, self._light_program,
-                     self._ambient_program)
+                    self._ambient_program, self._mapping)
 
 
 def _place_state(placed: PlacedMesh, ground_y: float) -> bytes:
-    return placed.world_from_model.tobytes() + np.float64(ground_y).tobytes() + id(placed.mesh).to_bytes(8, "little")
-
-
-def world_points(placed: PlacedMesh) -> Array:
-    """(n, 3) outline of the object in the world."""
-    matrix = placed.world_from_model
-    return np.asarray(placed.mesh.mesh.outline @ matrix[:3, :3].T + matrix[:3, 3])
+    return placed.state() + np.float64(ground_y).tobytes()
 
 
 def _ground_rect(points: Array, directions: Array, ground_y: float) -> tuple[float, float, float, float]:

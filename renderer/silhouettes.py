@@ -37,7 +37,7 @@ def silhouette_view(view: View) -> SilhouetteView:
     low, extent = corners.min(axis=0), np.ptp(corners, axis=0)
     width, height = (view.size[0] / (right - left), view.size[1] / (top - bottom))      # samples a unit
     horizontal = float(np.hypot(view.rotation[2, 0], view.rotation[2, 2]))
-    finer = SAMPLES * min(1 / max(horizontal, 1e-3), MAX_FINER)
+    finer = SAMPLES / view.density * min(1 / max(horizontal, 1e-3), MAX_FINER)
     size = tuple(int(min(np.ceil(length * density * finer), MAX_SIZE))
                  for length, density in zip(extent, (width, height), strict=True))
     uv = np.concatenate([_TURN, -low[:, None]], axis=1) / extent[:, None]

@@ -7,14 +7,15 @@ multisampling more than drawing at twice the size. Surfaces stay as drawn for as
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
 from renderer.gl import GL_CLIP_DISTANCE0, Context, release_all, set_uniforms
-from renderer.gpu_mesh import PlacedMesh
-from renderer.mesh import Surface
+from renderer.gpu_mesh import SLOTS, PlacedMesh
+from renderer.mesh import Slot, Surface, TextureMapping
 from renderer.placement import View
 from renderer.silhouettes import SilhouetteView, silhouette_view
 
@@ -25,8 +26,7 @@ NO_POWER_OF_TWO = 8       # added to them: llvmpipe compiles other programs for 
 FIRST_UNIT = 8            # texture units after the panorama's
 BELOW_NOTHING = -1e9
 MAX_SURFACES = 512
-TEXTURES = ("base_color_texture", "metallic_roughness_texture", "emissive_texture")
-NO_TEXTURES: list[moderngl.Texture | None] = [None] * len(TEXTURES)
+ALPHA_MODES = ("opaque", "mask", "blend")  # as in material.glsl
 
 
 class Silhouette:
@@ -36,19 +36,21 @@ class Silhouette:
         self._context = context
         self.texture: moderngl.Texture | None = None
         self.framebuffer: moderngl.Framebuffer | None = None
+        self._depth: moderngl.Renderbuffer | None = None     # where real things may hide objects
         self.projection: SilhouetteView | None = None
 
-    def reserve(self, size: tuple[int, int]) -> moderngl.Framebuffer:
+    def reserve(self, size: tuple[int, int], *, with_depth: bool) -> moderngl.Framebuffer:
         """A framebuffer of at least this size."""
         kept = (0, 0) if self.texture is None else self.texture.size
-        if self.framebuffer is None or kept[0] < size[0] or kept[1] < size[1]:
+        if self.framebuffer is None or kept[0] < size[0] or kept[1] < size[1] or (with_depth and self._depth is None):
             self.release()
             width, height = (-(-max(pair) // SILHOUETTE_STEP) * SILHOUETTE_STEP + NO_POWER_OF_TWO
                              for pair in zip(size, kept, strict=True))
             self.texture = self._context.texture((width, height), 1, "f1")
             self.texture.build_mipmaps(0, 1)
             self.texture.filter = (moderngl.LINEAR_MIPMAP_NEAREST, moderngl.LINEAR)
-            self.framebuffer = self._context.gl.framebuffer([self.texture])
+            self._depth = self._context.gl.depth_renderbuffer((width, height)) if with_depth else None
+            self.framebuffer = self._context.gl.framebuffer([self.texture], self._depth)
         return self.framebuffer
 
     def uv_from_tangent(self) -> NDArray[np.float64]:
@@ -60,16 +62,16 @@ class Silhouette:
 
     def release(self) -> None:
         self._context.rest()
-        release_all(self.framebuffer, self.texture)
+        release_all(self.framebuffer, self.texture, self._depth)
 
 
 class ViewTarget:
-    """Sample buffers of one size, the silhouette, and the shaded result. Textured views have the surface in two more buffers."""
+    """Sample buffers of one size, the silhouette, and the shaded result. Detailed views have the surface in two more buffers."""
 
-    def __init__(self, context: Context, size: tuple[int, int], textured: bool) -> None:
+    def __init__(self, context: Context, size: tuple[int, int], detailed: bool) -> None:
         gl = context.gl
         sampled = (size[0] * SAMPLES, size[1] * SAMPLES)
-        self.samples = [context.texture(sampled, 4, dtype, linear=False) for dtype in (["f4", "f1", "f2"] if textured else ["f4"])]
+        self.samples = [context.texture(sampled, 4, dtype, linear=False) for dtype in (["f4", "f2", "f2"] if detailed else ["f4"])]
         self._depth = gl.depth_renderbuffer(sampled)
         self.framebuffer = gl.framebuffer(self.samples, self._depth)
         self.silhouette = Silhouette(context)
@@ -89,9 +91,9 @@ class SurfaceStage:
         self._context = context
         self._targets: dict[tuple[int, int, bool], list[ViewTarget]] = {}
         self.programs = {
-            f"{what}{' textured' if textured else ''}":
-                context.program(f"{vertex}.vert.glsl", f"{what}.frag.glsl", {"TEXTURED": int(textured)})
-            for what, vertex in (("surface", "surface"), ("mask", "mask")) for textured in (False, True)}
+            f"{what}{' detailed' if detailed else ''}":
+                context.program(f"{vertex}.vert.glsl", f"{what}.frag.glsl", {"DETAILED": int(detailed)})
+            for what, vertex in (("surface", "surface"), ("mask", "mask")) for detailed in (False, True)}
 
     def set_ground(self, ground_y: float | None) -> None:
         """Hide what is below the ground from now on; None: there is no ground."""
@@ -99,19 +101,21 @@ class SurfaceStage:
         for program in self.programs.values():
             set_uniforms(program, {"clip_below_y": below})
 
-    def drawn(self, view: View, members: list[PlacedMesh]) -> tuple[ViewTarget, bool]:
-        """The view's target, its surfaces in it, and whether they had to be drawn anew."""
-        textured = any(item.is_textured for item in members)
-        target = self._target(view, textured)
+    def drawn(self, view: View, members: list[PlacedMesh], occluders: tuple[PlacedMesh, ...]) -> tuple[ViewTarget, bool]:
+        """The view's target, its surfaces in it, and whether they had to be drawn anew. `occluders` are real things that hide
+        them, themselves unseen."""
+        detailed = any(item.is_detailed for item in members)
+        target = self._target(view, detailed)
         if target.view is view:
             return target, False
-        suffix = " textured" if textured else ""
+        suffix = " detailed" if detailed else ""
         target.surfaces = [(surface, index) for index, item in zip(view.members, members, strict=True)
                            for _, surface in item.parts()][:MAX_SURFACES - 1]
         sampled = (view.size[0] * SAMPLES, view.size[1] * SAMPLES)
-        self._draw(target.framebuffer, sampled, f"surface{suffix}", view.clip_from_world(), members)
+        self._draw(target.framebuffer, sampled, f"surface{suffix}", view.clip_from_world(), members, occluders)
         outline = target.silhouette.projection = silhouette_view(view)
-        self._draw(target.silhouette.reserve(outline.size), outline.size, f"mask{suffix}", outline.clip_from_world, members)
+        framebuffer = target.silhouette.reserve(outline.size, with_depth=bool(occluders))
+        self._draw(framebuffer, outline.size, f"mask{suffix}", outline.clip_from_world, members, occluders)
         assert target.silhouette.texture is not None
         target.silhouette.texture.build_mipmaps(0, 1)
         target.view = view
@@ -123,7 +127,7 @@ class SurfaceStage:
         gl.enable_only(moderngl.DEPTH_TEST)
         gl.enable_direct(GL_CLIP_DISTANCE0)
         for item in members:
-            name = "mask textured" if item.is_textured else "mask"
+            name = "mask detailed" if item.is_detailed else "mask"
             set_uniforms(self.programs[name], {"clip_from_world": clip_from_world.T})
             self._draw_object(item, name, self.programs[name], 1)
         gl.front_face = "ccw"
@@ -137,27 +141,32 @@ class SurfaceStage:
             if id(target.view) not in kept:
                 target.view = None
 
-    def _target(self, view: View, textured: bool) -> ViewTarget:
+    def _target(self, view: View, detailed: bool) -> ViewTarget:
         width, height = (-(-side // SIZE_STEP) * SIZE_STEP + NO_POWER_OF_TWO for side in view.size)
-        targets = self._targets.setdefault((width, height, textured), [])
+        targets = self._targets.setdefault((width, height, detailed), [])
         for target in targets:
             if target.view is view:
                 return target
         free = next((target for target in targets if target.view is None), None)
         if free is None:
-            free = ViewTarget(self._context, (width, height), textured)
+            free = ViewTarget(self._context, (width, height), detailed)
             targets.append(free)
         return free
 
     def _draw(self, framebuffer: moderngl.Framebuffer, size: tuple[int, int], name: str, clip_from_world: NDArray[np.float64],
-              members: list[PlacedMesh]) -> None:
+              members: list[PlacedMesh], occluders: tuple[PlacedMesh, ...]) -> None:
         gl, program = self._context.gl, self.programs[name]
         framebuffer.use()
         framebuffer.viewport = (0, 0, *size)
         framebuffer.clear(0.0, 0.0, 0.0, 0.0, viewport=size)
-        gl.enable_only(moderngl.DEPTH_TEST if name.startswith("surface") else moderngl.NOTHING)
+        gl.enable_only(moderngl.DEPTH_TEST if occluders or name.startswith("surface") else moderngl.NOTHING)
         gl.enable_direct(GL_CLIP_DISTANCE0)
         set_uniforms(program, {"clip_from_world": clip_from_world.T})
+        if occluders:
+            _write_colors(framebuffer, False)
+            for item in occluders:
+                self._draw_object(item, name, program, 0)
+            _write_colors(framebuffer, True)
         index = 1
         for item in members:
             index = self._draw_object(item, name, program, index)
@@ -169,15 +178,16 @@ class SurfaceStage:
         """Returns the index that follows those of its surfaces."""
         gl = self._context.gl
         gl.front_face = "cw" if placed.is_mirrored else "ccw"
+        placed.mesh.take_pose(placed.pose)
         set_uniforms(program, placed.matrices())
         for part, surface in placed.parts():
-            if surface.double_sided:
+            if surface.double_sided or surface.alpha_mode == "blend":
                 gl.disable(moderngl.CULL_FACE)
             else:
                 gl.enable(moderngl.CULL_FACE)
             set_uniforms(program, {"surface_index": float(min(index, MAX_SURFACES - 1))})
-            if name.endswith("textured"):
-                _bind_textures(program, surface, NO_TEXTURES if placed.surface else part.textures)
+            if name.endswith("detailed"):
+                _bind_material(program, surface, {} if placed.surface else part.textures)
             part.vertex_arrays[name].render()
             index += 1
         return index
@@ -186,15 +196,24 @@ class SurfaceStage:
         release_all(*itertools.chain(*self._targets.values()), *self.programs.values())
 
 
-def _bind_textures(program: moderngl.Program, surface: Surface, textures: list[moderngl.Texture | None]) -> None:
-    bits = 0
-    for bit, (name, texture) in enumerate(zip(TEXTURES, textures, strict=True)):
-        set_uniforms(program, {name: FIRST_UNIT + bit})
-        if texture is not None:
-            texture.use(FIRST_UNIT + bit)
-            bits |= 1 << bit
-    set_uniforms(program, {
-        "has_textures": bits, "base_color": surface.base_color, "metallic": surface.metallic,
-        "roughness": surface.roughness, "emissive": surface.emissive,
-        "alpha_cutoff": -1.0 if surface.alpha_cutoff is None else surface.alpha_cutoff})
+def _write_colors(framebuffer: moderngl.Framebuffer, on: bool) -> None:
+    one: Any = (on, on, on, on)
+    count = len(framebuffer.color_attachments)
+    framebuffer.color_mask = one if count == 1 else (one,) * count
 
+
+def _bind_material(program: moderngl.Program, surface: Surface, textures: dict[Slot, moderngl.Texture]) -> None:
+    matrices, second_set = np.zeros((len(SLOTS), 2, 3)), 0
+    for index, slot in enumerate(SLOTS):
+        mapping = surface.mappings.get(slot, TextureMapping())
+        matrices[index] = mapping.matrix
+        second_set |= mapping.uv_set << index
+        set_uniforms(program, {f"{slot}_texture": FIRST_UNIT + index})
+        if slot in textures:
+            textures[slot].use(FIRST_UNIT + index)
+    set_uniforms(program, {
+        "has_textures": sum(1 << index for index, slot in enumerate(SLOTS) if slot in textures), "second_set": second_set,
+        "uv_mapping": matrices.transpose(0, 2, 1), "base_color": surface.base_color, "metallic": surface.metallic,
+        "roughness": surface.roughness, "emissive": surface.emissive, "normal_scale": surface.normal_scale,
+        "occlusion_strength": surface.occlusion_strength, "is_unlit": int(surface.unlit),
+        "alpha_mode": ALPHA_MODES.index(surface.alpha_mode), "alpha_cutoff": surface.alpha_cutoff or 0.0})

@@ -21,7 +21,7 @@ class Surroundings:
     """Owns the near field of every object in the scene."""
 
     def __init__(self) -> None:
-        self._models: WeakKeyDictionary[GpuMesh, tuple[Shape, Array, Array]] = WeakKeyDictionary()
+        self._models: WeakKeyDictionary[GpuMesh, tuple[Shape, Array, Array, Array]] = WeakKeyDictionary()
         self._kept: dict[str, tuple[bytes, NearField]] = {}
         self._fits: dict[str, Fit] = {}
 
@@ -69,21 +69,24 @@ class Surroundings:
 
     def bodies(self, objects: dict[str, PlacedMesh]) -> dict[str, Body]:
         """Each object as its near field sees it."""
-        return {name: self._body(item) for name, item in objects.items()}
+        return {name: self.body(item) for name, item in objects.items()}
 
-    def _body(self, placed: PlacedMesh) -> Body:
+    def body(self, placed: PlacedMesh) -> Body:
+        """One object as its near field sees it."""
         if placed.mesh not in self._models:
-            self._models[placed.mesh] = (fitted_shape(placed.mesh.mesh), *surface_points(placed.mesh.mesh))
-        shape, points, normals = self._models[placed.mesh]
+            albedo = np.asarray(np.mean([mean_albedo(part.surface) for part in placed.mesh.parts], axis=0))
+            self._models[placed.mesh] = (fitted_shape(placed.mesh.mesh), *surface_points(placed.mesh.mesh), albedo)
+        shape, points, normals, albedo = self._models[placed.mesh]
         matrix = placed.world_from_model
         turned = normals @ np.linalg.inv(matrix[:3, :3])
         return Body(Solid.placed(shape, matrix), points @ matrix[:3, :3].T + matrix[:3, 3],
                     turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-12),
-                    shape.is_convex, np.asarray(np.mean([mean_albedo(surface) for surface in placed.surfaces], axis=0)))
+                    shape.is_convex, albedo if placed.surface is None else mean_albedo(placed.surface))
 
 
 def _state(placed: PlacedMesh) -> bytes:
-    return placed.world_from_model.tobytes() + id(placed.mesh).to_bytes(8, "little") + repr(placed.surface).encode()
+    # poses are left out: a body's rays start from its points at rest
+    return replace(placed, pose_number=0).state()
 
 
 def _is_near(one: Body, other: Body) -> bool:

@@ -1,9 +1,10 @@
 // Differential rendering straight into the frame (Debevec 1998, as a ratio): out = object + (1 - a) background E_with / E_without
-// in linear light, then back through the tone curve. A pixel that nothing touches keeps its codes.
+// in linear light, then back through the tone curve. A pixel that nothing touches keeps its codes. ADDITIVE: as a difference.
 #include "equirectangular.glsl"
 #include "panorama.glsl"
 
 const float TOUCHED = 1.0 / 1024.0;
+const float MAX_RATIO = 4.0;    // of what an object's own light adds to the ground
 
 #define NO_VIEW 0
 #define PERSPECTIVE 1
@@ -81,6 +82,12 @@ vec4 object_radiance(vec3 direction, float covered) {
     vec3 d = view_from_world * direction;
     vec2 tangent = d.xy / max(d.z, 1e-6), uv = (tangent - view_bounds.xy) * view_bounds.zw;
     vec4 found = inside(uv) && d.z > 0.0 ? textureLod(view_texture, uv * view_scale, 0.0) : vec4(0.0);
+    // Where only a corner is covered, what is beside it; a loop, because a software renderer leaves one that no pixel enters.
+    for (int once = covered > TOUCHED && found.a < TOUCHED ? 1 : 0; once > 0; --once) {
+        vec2 beside = 0.6 * 2.0 * PI / float(frame_size.x) * view_bounds.zw * view_scale, at = uv * view_scale;
+        found = textureLod(view_texture, at + beside, 0.0) + textureLod(view_texture, at - beside, 0.0)
+            + textureLod(view_texture, at + vec2(beside.x, -beside.y), 0.0) + textureLod(view_texture, at + vec2(-beside.x, beside.y), 0.0);
+    }
     return found * (covered / max(found.a, TOUCHED));
 #else
     return vec4(0.0);
@@ -92,13 +99,25 @@ struct Layers { vec4 object; vec3 ratio; };
 
 Layers layers_at(vec3 direction, vec3 missing_residual, float covered) {
     vec3 missing = missing_residual + missing_light(direction);
-    vec3 ratio = clamp(1.0 - missing / max(ground_irradiance, vec3(1e-6)), 0.0, 1.0);
+    vec3 ratio = clamp(1.0 - missing / max(ground_irradiance, vec3(1e-6)), 0.0, MAX_RATIO);
     return Layers(object_radiance(direction, covered), mix(ratio, vec3(1.0), lessThan(ground_irradiance, vec3(1e-6))));
 }
 
-bool differs(Layers layers) { return layers.object.a > TOUCHED || any(lessThan(layers.ratio, vec3(1.0 - TOUCHED))); }
+bool differs(Layers layers) { return layers.object.a > TOUCHED || any(greaterThan(abs(layers.ratio - 1.0), vec3(TOUCHED))); }
 
 vec3 composite(Layers layers, vec3 background) {
+#if ADDITIVE
+    // background + (L_with - L_without), L = albedo E / pi, as MR360 has it (6.4): as albedo it takes the video's pixel, in linear
+    // display light, right or not. The sum is one of radiances; the paper does not say in which scale its own is.
+#if SOURCE_YUV || SOURCE_RGB8
+    vec3 albedo = linear_from_radiance(background);
+#else
+    vec3 albedo = background;   // no tone curve stands between a radiance map and the display
+#endif
+    albedo = min(albedo, vec3(1.0));
+    background = max(background - albedo * (1.0 - layers.ratio) * ground_irradiance / PI, 0.0);
+    layers.ratio = vec3(1.0);
+#endif
     return background * layers.ratio * (1.0 - layers.object.a) + layers.object.rgb;
 }
 

@@ -15,7 +15,7 @@ vec3 ground_ratio(vec3 at, float footprint) {
     bool known = all(greaterThan(uv, vec2(0.0))) && all(lessThan(uv, vec2(1.0)));
     float texels = footprint * max(ground_missing_rect.z, ground_missing_rect.w) * float(textureSize(ground_missing, 0).x);
     vec3 missing = textureLod(ground_missing, uv, log2(max(texels, 1.0))).rgb;
-    return known ? clamp(1.0 - missing, 0.0, 1.0) : vec3(1.0);
+    return known ? clamp(1.0 - missing, 0.0, 4.0) : vec3(1.0);
 }
 
 // Where a ray in unit space enters a solid (x) and leaves it (y), and how near it passes in half sizes (z).

@@ -9,7 +9,7 @@
 const int MAX_LOBES = 16;
 
 uniform sampler2D geometry;             // 2 x 2 samples a pixel: normal times distance; surface, 0 for none
-#if TEXTURED
+#if DETAILED
 uniform sampler2D color_metallic;       // of the samples
 uniform sampler2D emissive_roughness;
 #endif
@@ -58,13 +58,16 @@ vec3 filtered_light(vec3 direction, vec3 map) {
     return textureLod(lobe_atlas, vec2(lobe_border + uv.x * map.x, map.y + uv.y * map.z), 0.0).rgb;
 }
 
-#if TEXTURED
-// A textured roughness may have any value: the nearest map.
-vec3 nearest_lobe(float rough) {
-    vec4 best = lobe[0];
-    for (int i = 1; i < lobe_count; ++i)
-        if (abs(lobe[i].x - rough) < abs(best.x - rough)) best = lobe[i];
-    return best.yzw;
+#if DETAILED
+// A textured roughness may have any value: between the maps below and above it.
+vec3 mixed_lobes(vec3 direction, float rough) {
+    vec4 below = lobe[0], above = lobe[0];      // in rising order
+    for (int i = 0; i < lobe_count; ++i) {
+        if (lobe[i].x <= rough) below = lobe[i];
+        above = above.x < rough ? lobe[i] : above;
+    }
+    float share = above.x > below.x ? clamp((rough - below.x) / (above.x - below.x), 0.0, 1.0) : 0.0;
+    return mix(filtered_light(direction, below.yzw), filtered_light(direction, above.yzw), share);
 }
 #endif
 
@@ -94,7 +97,7 @@ vec3 dominant_direction(vec3 mirrored, vec3 normal, float roughness) {
 #endif
 }
 
-struct Surface { int object; vec3 normal; vec3 position; vec3 color; float metallic; vec3 emissive; float roughness; vec3 lobe; vec3 nearby; };
+struct Surface { int object; vec3 normal; vec3 position; vec3 color; float metallic; vec3 emissive; float roughness; vec3 lobe; vec3 nearby; float open; };
 
 const float ROUGH = 0.6;    // from here on a lobe sees so much at once that what is near dims it as it dims diffuse light
 
@@ -154,6 +157,8 @@ Reflection reflection(Surface s, vec3 ray) {
     for (int once = met >= 0 ? 1 : 0; once > 0; --once) found.light = solid_radiance(met, found.light, ray, met_blur);
     return found;
 }
+#elif HAS_RINGS
+Reflection reflection(Surface s, vec3 ray) { return Reflection(ray, vec3(1.0), vec3(0.0), 0.0); }   // the frame is all that the papers see
 #else
 Reflection reflection(Surface s, vec3 ray) { return Reflection(seen_direction(s.position, ray), s.nearby, vec3(0.0), 0.0); }
 #endif
@@ -167,21 +172,26 @@ vec3 shade(Surface s, vec3 view, vec3 mirror_ray, vec3 step_x, vec3 step_y, vec4
     vec3 ab = textureLod(dfg_table, vec2(n_dot_v, (s.roughness * (rows - 1.0) + 0.5) / rows), 0.0).rgb;
     float whole = ab.x + ab.y;
     vec3 compensation = 1.0 + f0 * (1.0 / max(whole, 1e-3) - 1.0);
-    vec3 reflectance = (f0 * ab.x + ab.y) * compensation;
+    // what reflects nothing at the normal does not at the rim either
+    vec3 reflectance = (f0 * ab.x + ab.y * clamp(50.0 * max(f0.r, max(f0.g, f0.b)), 0.0, 1.0)) * compensation;
 
     Reflection met = reflection(s, mirror_ray);
     vec3 reflected = met.direction, mirrored = vec3(0.0);
 #if HAS_RINGS
     for (int once = mirror ? 0 : 1; once > 0; --once) mirrored = ring_light(reflected, s.roughness);
 #elif HAS_LOBES
+#if DETAILED
+    mirrored = mixed_lobes(reflected, s.roughness);
+#else
     mirrored = filtered_light(reflected, s.lobe);
+#endif
 #endif
 #if HAS_MIRRORS
     // a loop, because a software renderer runs both sides of an if but leaves a loop that no pixel enters
     for (int once = mirror ? 1 : 0; once > 0; --once) mirrored = mirror_radiance(reflected, step_x, step_y);
 #endif
-    vec3 glossy = reflectance * mix(mirrored * met.ratio, met.light, met.hidden);
-    vec3 e = filtered_light(s.normal, irradiance_cell) * s.nearby;
+    vec3 glossy = (reflectance * s.open) * mix(mirrored * met.ratio, met.light, met.hidden);
+    vec3 e = filtered_light(s.normal, irradiance_cell) * (s.nearby * s.open);
     for (int i = 0; i < LIGHTS; ++i) {
         vec3 l = light_direction[i], h = normalize(l + view);
         float n_dot_l = disc_cosine(dot(s.normal, l), light_radius[i]), away = 1.0 - clamp(dot(view, h), 0.0, 1.0);
@@ -208,9 +218,8 @@ Surface surface_at(vec3 normal_times_distance, float surface, ivec2 sample_pixel
     if (facing > 0.0) s.normal -= direction * (facing + 1e-3); // an interpolated normal may look away
     s.normal = normalize(s.normal);
     s.position = direction * distance_from_camera;
-#if TEXTURED
+#if DETAILED
     vec4 color = texelFetch(color_metallic, sample_pixel, 0), emissive = texelFetch(emissive_roughness, sample_pixel, 0);
-    s.lobe = nearest_lobe(emissive.a);
 #else
     vec4 color = texelFetch(surfaces, ivec2(0, int(surface)), 0), emissive = texelFetch(surfaces, ivec2(1, int(surface)), 0);
     s.lobe = texelFetch(surfaces, ivec2(2, int(surface)), 0).xyz;
@@ -220,6 +229,7 @@ Surface surface_at(vec3 normal_times_distance, float surface, ivec2 sample_pixel
     s.emissive = emissive.rgb;
     s.roughness = emissive.a;
     s.object = int(texelFetch(surfaces, ivec2(2, int(surface)), 0).w);
+    s.open = 1.0 - fract(surface) / 0.9;
     s.nearby = near_field(int(surface), s.position, s.normal);
     return s;
 }
@@ -228,7 +238,7 @@ Surface surface_at(vec3 normal_times_distance, float surface, ivec2 sample_pixel
 struct Group { vec4 sample_sum; vec4 first; int first_index; float members; float weight; };
 
 bool joins(Group group, vec4 found) {
-    return group.weight == 0.0 || (found.a == group.first.a
+    return group.weight == 0.0 || (floor(found.a) == floor(group.first.a)
         && dot(found.rgb, group.first.rgb) > 0.96 * length(found.rgb) * length(group.first.rgb));
 }
 

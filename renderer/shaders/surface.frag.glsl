@@ -2,43 +2,58 @@
 // fragment shader for 4 x 4 pixels of every triangle, however small.
 in vec3 world_position;
 in vec3 world_normal;
-in vec2 texture_uv;
 
 uniform float surface_index;            // row of the table of surfaces, from 1; 0 is nothing
-layout(location = 0) out vec4 geometry; // normal times distance from the camera; surface
+layout(location = 0) out vec4 geometry; // normal times distance from the camera; surface, and how much is occluded as a fraction
 
-#if TEXTURED
-#include "srgb.glsl"
-uniform vec4 base_color;
+#if DETAILED
+#include "material.glsl"
 uniform float metallic;
 uniform float roughness;
 uniform vec3 emissive;
-uniform float alpha_cutoff;             // negative: opaque
-uniform int has_textures;               // bit 0 base colour, 1 metallic-roughness, 2 emissive
-uniform sampler2D base_color_texture;
+uniform float normal_scale;
+uniform float occlusion_strength;
+uniform int is_unlit;
 uniform sampler2D metallic_roughness_texture;
+uniform sampler2D normal_texture;
+uniform sampler2D occlusion_texture;
 uniform sampler2D emissive_texture;
+in vec4 world_tangent;
 layout(location = 1) out vec4 color_metallic;
 layout(location = 2) out vec4 emissive_roughness;
+
+// The samples are half as far apart as the pixels that they make up: a level up is as fine as a pixel, and a little soft.
+const float BIAS = 0.5;
+
+vec3 mapped_normal(vec3 normal) {
+    vec3 t = texture(normal_texture, mapped(NORMAL), BIAS).xyz * 2.0 - 1.0;
+    vec3 along = normalize(world_tangent.xyz - normal * dot(normal, world_tangent.xyz) + vec3(1e-9));
+    vec3 across = cross(normal, along) * world_tangent.w;
+    return normalize(along * (t.x * normal_scale) + across * (t.y * normal_scale) + normal * max(t.z, 1e-3));
+}
 #endif
 
 void main() {
-    geometry = vec4(normalize(world_normal) * length(world_position), surface_index);
-#if TEXTURED
-    color_metallic = vec4(base_color.rgb, metallic);
+    vec3 normal = normalize(world_normal);
+    float occluded = 0.0;
+#if DETAILED
+    vec4 color = material_color(BIAS);
+    if (is_hole(color.a)) discard;
+    color_metallic = vec4(color.rgb, metallic);
     emissive_roughness = vec4(emissive, roughness);
-    float alpha = base_color.a;
-    if ((has_textures & 1) != 0) {
-        vec4 t = texture(base_color_texture, texture_uv);
-        color_metallic.rgb *= linear_from_srgb(t.rgb);
-        alpha *= t.a;
-    }
-    if (alpha < alpha_cutoff) discard;
-    if ((has_textures & 2) != 0) {
-        vec4 t = texture(metallic_roughness_texture, texture_uv);
+    if (has(METALLIC_ROUGHNESS)) {
+        vec4 t = texture(metallic_roughness_texture, mapped(METALLIC_ROUGHNESS), BIAS);
         color_metallic.a *= t.b;
         emissive_roughness.a *= t.g;
     }
-    if ((has_textures & 4) != 0) emissive_roughness.rgb *= linear_from_srgb(texture(emissive_texture, texture_uv).rgb);
+    if (!gl_FrontFacing) normal = -normal;
+    if (has(NORMAL)) normal = mapped_normal(normal);
+    if (has(OCCLUSION)) occluded = occlusion_strength * (1.0 - texture(occlusion_texture, mapped(OCCLUSION), BIAS).r);
+    if (has(EMISSIVE)) emissive_roughness.rgb *= texture(emissive_texture, mapped(EMISSIVE), BIAS).rgb;
+    if (is_unlit != 0) {        // gives off its colour and reflects nothing
+        color_metallic = vec4(0.0, 0.0, 0.0, 1.0);
+        emissive_roughness = vec4(color.rgb, 1.0);
+    }
 #endif
+    geometry = vec4(normal * length(world_position), surface_index + 0.9 * clamp(occluded, 0.0, 1.0));
 }

@@ -33,7 +33,7 @@ logger = logging.getLogger(__name__)
 HEARTBEAT_S = 0.5
 STEP_ALLOWANCE_S = 1.5    # the main thread counts as alive for this long after each step of its loop,
 SCENE_ALLOWANCE_S = 6.0   # for this long after a new scene, whose models it may have to load,
-OPEN_ALLOWANCE_S = 25.0   # and for this long while the driver compiles the shaders of a new geometry
+OPEN_ALLOWANCE_S = 25.0   # and for this long while the driver compiles the shaders of a new geometry or other methods
 BURST_S = 0.04            # of two frames that come within this time, both are rendered
 BOTH_STEPS_SLACK = 0.4   # of the time between two frames must be left to take both steps towards the next light in one
 REPEAT_AFTER_S = 0.4      # without a new frame, the last one is rendered again so that edits of the scene are seen
@@ -115,8 +115,9 @@ class RenderLoop:
     def _obey(self, message: Message) -> None:
         kind = message["type"]
         if kind == "scene":
-            self._allow(SCENE_ALLOWANCE_S)
+            before = self._scene.lighting
             self._scene, self._revision = Scene.model_validate(message["scene"]), int(message["revision"])
+            self._allow(SCENE_ALLOWANCE_S if self._scene.lighting == before else OPEN_ALLOWANCE_S)
         elif kind == "source":
             self._set_source(message["source"])
         elif kind == "demand":

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from renderer.scene import Scene
+from renderer.scene import STAGES, Lighting, Scene
 
 DESIGN_EXAMPLE = {
     "camera_height": 1.6, "ground": {"catcher": True, "specular": 0.0, "roughness": 0.3},
@@ -39,7 +39,8 @@ def test_ids_are_unique_across_objects_and_surfaces() -> None:
         Scene.model_validate({"objects": [item], "local_scene": [{**item, "role": "occluder"}]})
 
 
-@pytest.mark.parametrize("lighting", [{"preset": "paper"}, {"shadows": "pcf"}, {"composite": "additive"}])
-def test_methods_that_are_not_there_yet_are_refused_by_name(lighting: dict[str, str]) -> None:
-    with pytest.raises(ValidationError, match="is not available yet"):
-        Scene.model_validate({"lighting": lighting})
+def test_preset_paper_is_the_papers_five_methods_and_single_ones_can_be_ours() -> None:
+    chosen = Lighting(preset="paper")
+    assert [chosen.method(stage) for stage in STAGES] == ["map32x16", "rings36", "threshold", "pcf", "additive"]
+    assert Lighting(preset="paper", shadows="area").method("shadows") == "area"
+    assert [Lighting(shadows="pcf").method(stage) for stage in STAGES] == ["auto", "ggx", "default", "pcf", "ratio"]

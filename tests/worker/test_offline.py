@@ -42,8 +42,11 @@ def read_exr(path: Path) -> np.ndarray:
     return np.stack([channels[name].pixels for name in "RGB"], axis=-1)
 
 
-def test_a_radiance_map_stays_linear_and_exact_where_untouched(tmp_path: Path, radiance_map: Path, scene_file: Path) -> None:
-    done = mr360("render", radiance_map, "--output", tmp_path / "out.exr", "--scene", scene_file, "--report", tmp_path / "r.json")
+@pytest.mark.parametrize("preset", ["default", "paper"])
+def test_a_radiance_map_stays_linear_and_exact_where_untouched(tmp_path: Path, radiance_map: Path, scene_file: Path,
+                                                               preset: str) -> None:
+    done = mr360("render", radiance_map, "--output", tmp_path / "out.exr", "--scene", scene_file, "--report", tmp_path / "r.json",
+                 "--preset", preset)
     assert (done.returncode, done.stderr) == (0, "")
     before, after = read_exr(radiance_map), read_exr(tmp_path / "out.exr")
     changed = (before != after).any(axis=2)
@@ -57,16 +60,19 @@ def test_a_radiance_map_stays_linear_and_exact_where_untouched(tmp_path: Path, r
     assert len(report["lights"]) == 1
 
 
-def test_a_panorama_becomes_a_panorama(tmp_path: Path, scene_file: Path) -> None:
+@pytest.mark.parametrize("preset", ["default", "paper"])
+def test_a_panorama_becomes_a_panorama(tmp_path: Path, scene_file: Path, preset: str) -> None:
     Image.new("RGB", (512, 256), (120, 130, 140)).save(tmp_path / "in.png")
-    assert mr360("render", tmp_path / "in.png", "--output", tmp_path / "out.png", "--scene", scene_file).returncode == 0
+    done = mr360("render", tmp_path / "in.png", "--output", tmp_path / "out.png", "--scene", scene_file, "--preset", preset)
+    assert (done.returncode, done.stderr) == (0, "")
     with Image.open(tmp_path / "out.png") as image:
         pixels = np.asarray(image)
     assert (pixels[:100] == [120, 130, 140]).all()
     assert (pixels != [120, 130, 140]).any()
 
 
-def test_a_clip_becomes_a_spherical_clip(tmp_path: Path, scene_file: Path) -> None:
+@pytest.mark.parametrize("preset", ["default", "paper"])
+def test_a_clip_becomes_a_spherical_clip(tmp_path: Path, scene_file: Path, preset: str) -> None:
     with av.open(str(tmp_path / "in.mp4"), "w") as container:
         stream = container.add_stream("libx264", rate=25)
         stream.width, stream.height, stream.pix_fmt = 256, 128, "yuv420p"
@@ -74,7 +80,7 @@ def test_a_clip_becomes_a_spherical_clip(tmp_path: Path, scene_file: Path) -> No
             frame = av.VideoFrame.from_ndarray(np.full((128, 256, 3), 120, np.uint8), format="rgb24")
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
-    done = mr360("render", tmp_path / "in.mp4", "--output", tmp_path / "out.mp4", "--scene", scene_file)
+    done = mr360("render", tmp_path / "in.mp4", "--output", tmp_path / "out.mp4", "--scene", scene_file, "--preset", preset)
     assert (done.returncode, done.stderr) == (0, "")
     with av.open(str(tmp_path / "out.mp4")) as container:
         frames = list(container.decode(video=0))
@@ -102,7 +108,7 @@ def test_lights_are_printed_as_one_json_object(radiance_map: Path) -> None:
     ('{"sun": 1}', "sun"), ('{"objects": [{"id": "a", "mesh": "box", "scale": [0, 1, 1]}]}', "scale is"),
     ('{"objects": [{"id": "a", "mesh": "box", "position": [NaN, 0, 0]}]}', "position"),
     ('{"objects": [{"id": "a", "mesh": "gone.glb", "position": [0, 0, -3]}]}', "does not exist"),
-    ('{"lighting": {"preset": "paper"}}', "paper")])
+    ('{"lighting": {"preset": "papers"}}', "papers")])
 def test_a_bad_scene_is_one_line_and_exit_2(tmp_path: Path, radiance_map: Path, scene: str, complaint: str) -> None:
     (tmp_path / "bad.json").write_text(scene)
     done = mr360("render", radiance_map, "--output", tmp_path / "out.png", "--scene", tmp_path / "bad.json")

@@ -26,7 +26,8 @@ from tests.benchmarks.truth.measures import Comparison, compare
 from tests.benchmarks.truth.path_tracer import Traced, trace
 from tests.benchmarks.truth.solid import solid_of
 
-PRESETS = {"default": {"preset": "default"}}
+MOMENT = 0.3        # of the animations, in seconds
+PRESETS = {"default": {"preset": "default"}, "paper": {"preset": "paper"}}
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ class _Bench:
     def _render(self, document: dict[str, Any], panorama: NDArray[np.float32], lighting: dict[str, Any]) -> NDArray[np.float32]:
         scene = Scene.model_validate({**document, "lighting": lighting}, context={"allow_mesh_paths": True})
         self.pipeline.reset()
-        rendered = self.pipeline.render(RadianceFrame(panorama), scene)
+        rendered = self.pipeline.render(RadianceFrame(panorama), scene, moment=MOMENT)
         for name, error in rendered.errors.items():
             print(f"  {name}: {error}", file=sys.stderr)
         assert isinstance(rendered.frame, RadianceFrame)

@@ -23,10 +23,13 @@ def solid_of(placement: Placement) -> tuple[Solid, list[str], list[Array]]:
         matrix = placed.world_from_model
         cofactor = np.linalg.inv(matrix[:3, :3])
         corners = []
-        for primitive in placed.mesh.mesh.primitives:
+        for index, primitive in enumerate(placed.mesh.mesh.primitives):
+            positions, found = primitive.positions, primitive.normals
+            if placed.pose is not None:
+                positions, found, _ = placed.pose.primitives[index]
             surface = placed.surface or primitive.surface
-            points = primitive.positions @ matrix[:3, :3].T + matrix[:3, 3]
-            normals = primitive.normals @ cofactor
+            points = positions @ matrix[:3, :3].T + matrix[:3, 3]
+            normals = found @ cofactor
             columns["positions"].append(points)
             columns["normals"].append(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12))
             columns["uvs"].append(primitive.uvs)
