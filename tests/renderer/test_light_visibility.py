@@ -31,10 +31,10 @@ def drawn(context: Context, monkeypatch: pytest.MonkeyPatch) -> Drawn:
     hidden: list[bool] = []
     original = LightVisibilityStage.texture
 
-    def watched(stage: LightVisibilityStage, *arguments: Any) -> moderngl.Texture:
-        texture = original(stage, *arguments)
+    def watched(stage: LightVisibilityStage, *arguments: Any) -> tuple[moderngl.Texture, int]:
+        texture, number = original(stage, *arguments)
         hidden.append(texture is not stage.all_visible)
-        return texture
+        return texture, number
 
     monkeypatch.setattr(LightVisibilityStage, "texture", watched)
 
