@@ -15,6 +15,7 @@ from av.video.frame import VideoFrame
 from renderer.pipeline import Pipeline
 from server.cli import main
 from server.worker import offline
+from tests.models import one_triangle
 
 SIZE = (256, 128)
 TICK = Fraction(1, 1000)
@@ -71,6 +72,27 @@ def test_each_frame_is_rendered_at_its_own_time(tmp_path: Path, moments: list[fl
     assert main(["render", str(tmp_path / "in.mkv"), "--output", str(tmp_path / "out.mp4")]) == 0
     assert moments == pytest.approx(given, abs=1e-6)
     assert times(tmp_path / "out.mp4") == pytest.approx([one - given[0] for one in given], abs=1e-3)
+
+
+def test_an_animation_runs_on_the_clips_clock(tmp_path: Path) -> None:
+    """A black triangle that goes half a metre to the right in a second, in frames 0, 0.5 and 1 s after the clip's time 0."""
+    black = {"pbrMetallicRoughness": {"baseColorFactor": [0, 0, 0, 1]}, "extensions": {"KHR_materials_unlit": {}}}
+    model = one_triangle(black)
+    model.clip(0, "translation", [0.0, 1.0], [[0, 0, 0], [1, 0, 0]], name="go")
+    (tmp_path / "m.glb").write_bytes(model.bytes())
+    (tmp_path / "scene.json").write_text(json.dumps({"ground": {"catcher": False}, "objects": [
+        {"id": "walker", "mesh": "m.glb", "position": [0, 0, -2], "scale": [0.5, 0.5, 0.5],
+         "animation": {"clip": "go", "loop": False}}]}))
+    write_clip(tmp_path / "in.mkv", [0, 500, 1000], code=180)
+    assert main(["render", str(tmp_path / "in.mkv"), "--output", str(tmp_path / "out.mp4"), "--scene",
+                 str(tmp_path / "scene.json")]) == 0
+    columns = []
+    with av.open(str(tmp_path / "out.mp4")) as container:
+        for frame in container.decode(video=0):
+            luma = np.frombuffer(memoryview(frame.planes[0]), np.uint8).reshape(SIZE[1], -1)[:, :SIZE[0]]
+            columns.append(np.nonzero(luma < 60)[1].min())      # its left edge
+    expected = [SIZE[0] * (0.5 + np.arctan2(0.5 * across, 2.0) / (2 * np.pi)) for across in (0.0, 0.5, 1.0)]
+    assert columns == pytest.approx(expected, abs=2)
 
 
 @pytest.mark.parametrize("color_range", [1, 2])
