@@ -58,14 +58,24 @@ class _Lit:
 
 
 @dataclass(frozen=True)
+class TouchedRadiance:
+    """(height, width, 3) radiance as it was composited, and the (height, width) mask of those pixels that have been touched."""
+
+    rgb: NDArray[np.float32]
+    mask: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
 class Rendered:
-    """The composited frame; `errors` names the objects that could not be drawn and why."""
+    """The composited frame; `errors` names the objects that could not be drawn and why. `touched`: of an RgbFrame, what its codes
+    were rounded from; None where nothing was drawn."""
 
     frame: Frame
     light: FrameLight
     touched_fraction: float
     timings: Timings
     errors: dict[str, str]
+    touched: TouchedRadiance | None = None
 
 
 class Pipeline:
@@ -141,10 +151,10 @@ class Pipeline:
             touched = self._composite.run(placement.views, draw_view, lit.maps, lit.ambient, lit.ground, self._shadows)
             self._context.start()   # while the planes are being copied
         with timings.stage("write"):
-            composited = self._write(frame, touched, output)
+            composited, radiance = self._write(frame, touched, output)
         self._context.collect()
         fraction = len(touched) * TILE * TILE / (self._size[0] * self._size[1])
-        return Rendered(composited, light, fraction, timings, placement.errors)
+        return Rendered(composited, light, fraction, timings, placement.errors, radiance)
 
     def read_light(self, moment: float | None = None, lighting: Lighting | None = None) -> tuple[FrameLight, Timings]:
         """The light of the frame that was rendered last, which is shown at `moment` seconds."""
@@ -295,16 +305,17 @@ class Pipeline:
         objects = list(placement.objects.values())
         return lambda view: self._shading.draw(view, objects)
 
-    def _write(self, frame: Frame, tiles: NDArray[np.intp], output: YuvFrame | None) -> Frame:
+    def _write(self, frame: Frame, tiles: NDArray[np.intp], output: YuvFrame | None) -> tuple[Frame, TouchedRadiance | None]:
         if isinstance(frame, YuvFrame):
             composited = _copied(frame, output)
             self._composite.write_yuv(composited, tiles)
-            return composited
+            return composited, None
         radiance, touched = self._composite.touched_radiance(tiles, frame)
         if isinstance(frame, RadianceFrame):
-            return RadianceFrame(np.where(touched[..., None], radiance, frame.rgb))
+            return RadianceFrame(np.where(touched[..., None], radiance, frame.rgb)), None
         signal = srgb_from_linear(np.clip(linear_from_radiance(radiance), 0.0, 1.0))
-        return RgbFrame(np.where(touched[..., None], np.round(signal * 255).astype(np.uint8), frame.rgb))
+        codes = np.where(touched[..., None], np.round(signal * 255).astype(np.uint8), frame.rgb)
+        return RgbFrame(codes), TouchedRadiance(radiance, touched)
 
     def reset(self) -> None:
         """Forget the lights of earlier frames."""

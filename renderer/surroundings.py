@@ -41,8 +41,9 @@ class Surroundings:
             state = b"".join([_state(objects[name]), *(_state(objects[other]) for other in others),
                               repr((ground_y, radiance.shape)).encode()])
             before = self._kept.get(name)
-            if before is None or (before[0] != state and waiting is None):
-                waiting = None if before is None else name
+            is_next = before is not None and before[0] != state and waiting is None
+            waiting = name if is_next else waiting
+            if before is None or is_next:
                 before = (state, NearField(body, list(others.values()), ground_y, radiance.shape[0]))
             kept[name] = before
         # the one that was served goes to the end of the queue
