@@ -31,6 +31,7 @@ CONTACT = 4.0             # how fast the contact term falls with height, in size
 FUNCTIONS = 10
 RIDGE = 1e-3
 RATIO_RANGE = (0.0, 4.0)
+COAT = 0.04               # of the light that falls on it, reflected by whatever is no metal
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,11 @@ class Body:
     normals: Array
     is_convex: bool
     albedo: Array
+
+    @property
+    def color(self) -> Array:
+        """(3,) base colour: `albedo` without what the coat reflects."""
+        return np.asarray(np.maximum(self.albedo - COAT, 0.0) / (1 - 2 * COAT))
 
 
 @dataclass(frozen=True)
@@ -79,11 +85,16 @@ def surface_points(mesh: Mesh, count: int = POINTS) -> tuple[Array, Array]:
 
 def mean_albedo(surface: Surface) -> Array:
     """(3,) share of light that a surface gives back, roughly: metals as much as their colour."""
+    return np.asarray(COAT + (1 - 2 * COAT) * mean_color(surface))
+
+
+def mean_color(surface: Surface) -> Array:
+    """(3,) linear base colour, the mean of a textured one."""
     color = np.array(surface.base_color[:3])
     if surface.base_color_texture is not None:
         mean = surface.base_color_texture[..., :3].reshape(-1, 3).mean(axis=0) / 255.0
         color = color * mean**2.2
-    return np.asarray(0.04 + 0.92 * color)
+    return np.asarray(color)
 
 
 @lru_cache(maxsize=4)

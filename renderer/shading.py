@@ -280,7 +280,7 @@ class ShadingStage:
             item = receivers[index]
             surface = item.placed.surfaces[0]
             matrices[slot] = item.body.solid.unit_from_world.T
-            colors[slot] = (*item.body.albedo, index)
+            colors[slot] = (*item.body.color, index)
             cell = self._lobe_cells.get(quantized_roughness(surface.roughness))
             kinds[slot], lobes[slot] = (KINDS.index(item.body.solid.kind), surface.metallic, cell is None), cell or (0.0, 0.0, 0.0)
         return {"solid_count": len(nearest), "unit_from_world": matrices, "solid_color": colors, "solid_kind": kinds,

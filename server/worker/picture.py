@@ -20,6 +20,7 @@ DIRECT_FORMATS = {"yuv420p", "yuvj420p"}
 MAX_WIDTH, MAX_HEIGHT = 8192, 4096
 MIN_SIDE = 16
 _BT601 = {5, 6}       # AVCOL_SPC_BT470BG, SMPTE170M
+_PQ = 16              # AVCOL_TRC_SMPTE2084
 _BT709 = 1
 _MPEG, _JPEG = 1, 2   # AVCOL_RANGE_*
 
@@ -68,6 +69,8 @@ class PictureReader:
 
     def read(self, frame: VideoFrame) -> YuvFrame:
         """Planes that are valid until the next call; copy to keep. Raises PictureError for a format that cannot be converted."""
+        if int(frame.color_trc) == _PQ:     # whose codes would be taken for a display signal of another curve
+            raise PictureError("transfer 'smpte2084' (PQ) is not supported, expected BT.709, sRGB, BT.601 or HLG")
         layout = YuvFormat("bt709", False) if _is_rgb(frame) else yuv_format(frame)
         depth = _kept_bits(frame)
         wanted = "yuv420p" if depth == 8 else f"yuv420p{depth}le"

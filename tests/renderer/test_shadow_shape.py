@@ -22,7 +22,8 @@ def light_alone(azimuth_deg: float, elevation_deg: float, radius_deg: float) -> 
     """A disc over a grey ground: what the ground's ratio says is the share of the disc that is seen."""
     directions = pixel_directions(SIZE[1], SIZE[0])
     radiance = np.where(directions[..., 1] < 0, 0.5, 0.0)
-    radiance[directions @ direction(azimuth_deg, elevation_deg) > np.cos(np.radians(radius_deg))] = 3e4    # beside which the ground's own light is nothing
+    # so bright that the ground's own light is nothing beside it
+    radiance[directions @ direction(azimuth_deg, elevation_deg) > np.cos(np.radians(radius_deg))] = 3e4
     return RadianceFrame(np.repeat(radiance[..., None], 3, axis=2).astype(np.float32))
 
 
