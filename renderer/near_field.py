@@ -31,6 +31,7 @@ CONTACT = 4.0             # how fast the contact term falls with height, in size
 FUNCTIONS = 10
 RIDGE = 1e-3
 RATIO_RANGE = (0.0, 4.0)
+STALE = np.radians(1.0)     # how far a light may move before the rays to it are cast anew
 COAT = 0.04               # of the light that falls on it, reflected by whatever is no metal
 
 
@@ -57,6 +58,10 @@ class Fit:
     centre: Array
     size: float
     coefficients: Array
+
+    def ratio(self, points: Array, normals: Array, ground_y: float) -> Array:
+        """(n, 3) irradiance near by distant."""
+        return np.maximum(functions(points, normals, self.centre, self.size, ground_y) @ self.coefficients, 0.0)
 
 
 def functions(points: Array, normals: Array, centre: Array, size: float, ground_y: float) -> Array:
@@ -161,7 +166,7 @@ class _GroundPatch:
     def _light_share(self, light: Light) -> Array:
         """(cells,) share of a light that arrives; kept until it has moved."""
         kept = self._lights.get(light.id)
-        if kept is None or not hardly_moved(kept[0], light):
+        if kept is None or not hardly_moved(kept[0], light, least=STALE):
             directions = disc_directions(light.direction, light.angular_radius, LIGHT_RAYS)
             kept = self._lights[light.id] = (light, _visibility(self.points, directions, self.solids).mean(axis=1))
         return kept[1]

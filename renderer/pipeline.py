@@ -9,7 +9,6 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.bounce import bounced
 from renderer.color import srgb_from_linear
 from renderer.composite import CompositeStage, DrawView, GroundLight, Touched
 from renderer.frame import Frame, RadianceFrame, RgbFrame, YuvFrame, check_size
@@ -268,20 +267,17 @@ class Pipeline:
         if filtered:
             self._shadows.weigh_ambient(list(by_object.values()), [screen_space_occlusion(light.coefficients)] * len(by_object))
         else:
-            self._weigh_ambient(by_object, placed, light, ground.y)
+            self._weigh_ambient(by_object, light, has_near=bool(self._shading.near))
 
         touched = self._touched([shadow for shadow in (*maps, *ambient) if shadow is not None], ground.y)
         return [item for item in touched if item.shadow.light >= 0], [item for item in touched if item.shadow.light < 0]
 
-    def _weigh_ambient(self, shadows: dict[str, ShadowMap], placed: dict[str, PlacedMesh], light: FrameLight,
-                       ground_y: float) -> None:
-        lights = tuple(item for item in _rendered(light) if not item.is_wide)
-        near = dict(zip(placed, self._shading.near, strict=False))
+    def _weigh_ambient(self, shadows: dict[str, ShadowMap], light: FrameLight, *, has_near: bool) -> None:
         hidden = [light.coefficients[:9] for _ in shadows]
         for index, key in enumerate(shadows):
-            if key in near:
-                body = self._surroundings.body(placed[key])
-                hidden[index] = hidden[index] - bounced(body, near[key], light.irradiance, lights, ground_y)
+            given_back = self._surroundings.bounced(key) if has_near else None
+            if given_back is not None:
+                hidden[index] = hidden[index] - given_back
         self._shadows.weigh_ambient(list(shadows.values()), hidden)
 
     def _reflect_ground(self, placement: Placement, ground: GroundLight | None, maps: list[Touched],

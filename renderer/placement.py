@@ -20,7 +20,7 @@ MARGIN_PIXELS = 2
 MAX_VIEW_HALF_ANGLE = np.radians(50.0)
 NEAR_M = 0.02
 MAX_DENSITY = 2.0                  # view pixels per panorama pixel, at the centre of a view: at least 1, and more for a small one,
-VIEW_PIXELS = 20_000               # which is edges for the most part, up to this many in all
+VIEW_PIXELS = 10_000               # which is edges for the most part, up to this many in all
 MAX_VIEW_SIZE = 2048
 
 

@@ -140,18 +140,22 @@ Reflection reflection(Surface s, vec3 ray) {
     int met = -1;
     float met_blur = 0.0;
     for (int i = 0; i < (sharp ? solid_count : 0); ++i) {
-        if (int(solid_color[i].a) == s.object) continue;
-        vec3 from = (unit_from_world[i] * vec4(s.position, 1.0)).xyz, along = mat3(unit_from_world[i]) * ray;
-        vec3 span = solid_span(int(solid_kind[i].x), from, along);
-        float at = span.x < span.y ? span.x : max(-dot(from, along) / dot(along, along), 0.0);
-        float blur = 2.0 * spread * at * length(along), soft = 1.0 - smoothstep(1.0 - blur, 1.0 + blur, span.z);
-        float hidden = mix(span.x < span.y && span.y > 0.0 ? 1.0 : 0.0, at > 0.0 ? soft : 0.0, clamp(8.0 * spread, 0.0, 1.0));
-        if (hidden > found.hidden && at > 0.0 && at < nearest) {
-            found.hidden = hidden;
-            if (hidden > 0.99) nearest = at;
-            met = i;
-            met_blur = spread * (1.0 + 4.0 * at * length(along));   // its own curve spreads the lobe
-            found.light = s.position + ray * at;    // the place, for now
+        vec3 towards = solid_sphere[i].xyz - s.position;
+        float ahead = dot(towards, ray), reach = solid_sphere[i].w * (1.0 + 2.0 * spread) + 2.0 * spread * max(ahead, 0.0);
+        bool passes = int(solid_color[i].a) == s.object || ahead < -reach || dot(towards, towards) - ahead * ahead > reach * reach;
+        for (int once = passes ? 0 : 1; once > 0; --once) {     // a loop that few pixels enter
+            vec3 from = (unit_from_world[i] * vec4(s.position, 1.0)).xyz, along = mat3(unit_from_world[i]) * ray;
+            vec3 span = solid_span(int(solid_kind[i].x), from, along);
+            float at = span.x < span.y ? span.x : max(-dot(from, along) / dot(along, along), 0.0);
+            float blur = 2.0 * spread * at * length(along), soft = 1.0 - smoothstep(1.0 - blur, 1.0 + blur, span.z);
+            float hidden = mix(span.x < span.y && span.y > 0.0 ? 1.0 : 0.0, at > 0.0 ? soft : 0.0, clamp(8.0 * spread, 0.0, 1.0));
+            if (hidden > found.hidden && at > 0.0 && at < nearest) {
+                found.hidden = hidden;
+                if (hidden > 0.99) nearest = at;
+                met = i;
+                met_blur = spread * (1.0 + 4.0 * at * length(along));   // its own curve spreads the lobe
+                found.light = s.position + ray * at;    // the place, for now
+            }
         }
     }
     for (int once = met >= 0 ? 1 : 0; once > 0; --once) found.light = solid_radiance(met, found.light, ray, met_blur);
