@@ -25,6 +25,7 @@ MAX_LIGHTS = 4             # in one view; a channel each
 SIZE = 512                 # texels a side of a depth map
 MIN_SHARE = 0.02           # of what all lights give; weaker ones go through
 STALE = np.radians(1.0)     # how far a light may move before its shadows on objects are drawn anew
+SETTLED_FRAMES = 8         # that it holds before it is drawn finely; at once when it is the first
 _MARGIN = 1.02
 
 
@@ -45,6 +46,8 @@ class _Kept:
     casters: tuple[bytes, ...]
     lights: tuple[Light, ...]
     number: int = 0
+    is_fine: bool = False
+    frames: int = 0         # that it has held
 
 
 class LightVisibilityStage:
@@ -58,8 +61,9 @@ class LightVisibilityStage:
         self._depth.compare_func = ""
         self._depth.filter = (moderngl.NEAREST, moderngl.NEAREST)
         self._framebuffer = gl.framebuffer([], self._depth)
-        self._program = context.program("full_screen.vert.glsl", "light_visibility.frag.glsl")
-        self._triangle = gl.vertex_array(self._program, [])
+        self._programs = [context.program("full_screen.vert.glsl", "light_visibility.frag.glsl", {"FINE": fine})
+                          for fine in (0, 1)]
+        self._triangles = [gl.vertex_array(program, []) for program in self._programs]
         self._kept: dict[ViewTarget, _Kept] = {}
         self._drawn = 0
         self.all_visible = context.texture((1, 1), 4, "f1", linear=False)
@@ -77,13 +81,19 @@ class LightVisibilityStage:
         kept = self._kept.get(target)
         if kept is not None and kept.view is view and kept.casters == states and len(kept.lights) == len(strong) and all(
                 hardly_moved(before, now, least=STALE) for before, now in zip(kept.lights, strong, strict=True)):
-            return kept.texture, kept.number
+            kept.frames += 1
+            if kept.is_fine or kept.frames < SETTLED_FRAMES:
+                return kept.texture, kept.number
+            kept.is_fine = True
+        elif kept is not None:
+            kept.is_fine = False
         if kept is None:
             texture = self._context.texture(target.texture.size, 4, "f1", linear=False)
-            kept = _Kept(texture, self._context.gl.framebuffer([texture]), view, states, strong)
+            kept = _Kept(texture, self._context.gl.framebuffer([texture]), view, states, strong, is_fine=True)
             self._kept[target] = kept
         kept.view, kept.casters, kept.lights = view, states, strong
         kept.number = self._drawn = self._drawn + 1
+        kept.frames = 0
         kept.framebuffer.use()
         kept.framebuffer.clear(1.0, 1.0, 1.0, 1.0)
         for channel, (light, indices) in enumerate(zip(strong, casters, strict=True)):
@@ -110,19 +120,25 @@ class LightVisibilityStage:
         self._depth.use(FIRST_UNIT)
         target.samples[0].use(FIRST_UNIT + 1)
         left, right, bottom, top = kept.view.bounds
-        set_uniforms(self._program, {
+        set_uniforms(self._programs[kept.is_fine], {
             "depth_map": FIRST_UNIT, "geometry": FIRST_UNIT + 1, "world_from_view": kept.view.rotation,
             "view_bounds": (left, bottom, right - left, top - bottom), "view_size": kept.view.size,
             "clip_from_world": clip_from_world.T, "light_direction": light.direction,
             "extent": tuple(high - low), "spread": float(np.tan(light.angular_radius))})
         self._context.gl.enable_only(moderngl.NOTHING)
-        self._triangle.render(moderngl.TRIANGLES, 3)
+        self._triangles[kept.is_fine].render(moderngl.TRIANGLES, 3)
         kept.framebuffer.color_mask = (True, True, True, True)
 
-    def release(self) -> None:
+    def reset(self) -> None:
+        """Forget the lights: the next ones have nothing to do with them."""
+        self._context.rest()
         for kept in self._kept.values():
             release_all(kept.framebuffer, kept.texture)
-        release_all(self._framebuffer, self._depth, self._triangle, self._program, self.all_visible)
+        self._kept.clear()
+
+    def release(self) -> None:
+        self.reset()
+        release_all(self._framebuffer, self._depth, *self._triangles, *self._programs, self.all_visible)
 
 
 def _matters(light: Light, lights: tuple[Light, ...]) -> bool:

@@ -31,7 +31,7 @@ from renderer.scene import Lighting, Scene
 from renderer.shading import MIRROR_BELOW, Illumination, ShadingStage, is_sharp, may_mirror
 from renderer.shadow_mapping import screen_space_occlusion
 from renderer.shadows import ShadowMap, ShadowStage
-from renderer.specular import prefilter_all, quantized_roughness
+from renderer.specular import MIN_ROUGHNESS, prefilter_all, quantized_roughness
 from renderer.surfaces import SurfaceStage
 from renderer.surroundings import Surroundings
 from renderer.threshold_detection import HEIGHT as THRESHOLD_HEIGHT
@@ -224,6 +224,8 @@ class Pipeline:
     def _illumination(self, scene: Scene, light: FrameLight, placement: Placement, rings: moderngl.Texture | None) -> Illumination:
         found = set().union(*(item.roughnesses for item in placement.objects.values()))
         wanted = {quantized_roughness(value) for value in found if value >= MIRROR_BELOW and rings is None}
+        if rings is None and len(placement.objects) > 1 and any(map(may_mirror, placement.objects.values())):
+            wanted.add(MIN_ROUGHNESS)       # for what one mirror sees in another
         lights = tuple(item for item in _rendered(light) if not item.is_wide)
         ground_y = -scene.camera_height if scene.ground.catcher else None
         # the papers' map knows nothing near
@@ -316,7 +318,8 @@ class Pipeline:
     def reset(self) -> None:
         """Forget the lights of earlier frames."""
         self._reader.reset()
-        self._surroundings.reset()
+        for stage in (self._surroundings, self._shadows, self._shading):
+            stage.reset()
 
     def release(self) -> None:
         self._context.rest()

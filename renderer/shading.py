@@ -82,8 +82,19 @@ class Drawn(NamedTuple):
 
 
 def may_mirror(placed: PlacedMesh) -> bool:
-    """Whether a part is smooth enough to show the frame itself; a detailed one may be."""
-    return placed.is_detailed or any(surface.roughness < MIRROR_BELOW for surface in placed.surfaces)
+    """Whether a part is smooth enough to show the frame itself."""
+    return any(value < MIRROR_BELOW for value in placed.roughnesses)
+
+
+def _pixels(view: View, placed: PlacedMesh) -> tuple[int, int, int, int]:
+    """The rectangle of a view, x, y, width, height, that an object covers in it."""
+    local = placed.outline() @ view.rotation.T
+    if view.cube_axis >= 0 or (local[:, 2] <= 0).any():
+        return (0, 0, *view.size)
+    left, right, bottom, top = view.bounds
+    at = (local[:, :2] / local[:, 2:] - [left, bottom]) / [right - left, top - bottom] * view.size
+    low, high = np.clip(np.floor(at.min(axis=0)) - 2, 0, view.size), np.clip(np.ceil(at.max(axis=0)) + 2, 0, view.size)
+    return (int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1]))
 
 
 def is_sharp(surface: Surface) -> bool:
@@ -112,6 +123,7 @@ class ShadingStage:
         self._illumination: Illumination | None = None
         self._slots = LIGHT_SLOTS[0]
         self._lobe_cells: dict[float, tuple[float, float, float]] = {}
+        self._sharpest = (0.0, 0.0, 0.0)
 
     def _shading_program(self, kind: Shading) -> tuple[moderngl.Program, moderngl.VertexArray]:
         if kind not in self._shading:
@@ -165,6 +177,7 @@ class ShadingStage:
             cells.append((columns / width, (top + 1) / height, rows / height))
             top += rows + 2
         self._lobe_cells = dict(zip(sorted(lobes), cells[1:], strict=False))
+        self._sharpest = cells[min(1, len(cells) - 1)]
         table = np.zeros((MAX_LOBES, 4))
         for index, (roughness, cell_uv) in enumerate(self._lobe_cells.items()):
             table[index] = (roughness, *cell_uv)
@@ -174,27 +187,28 @@ class ShadingStage:
         self._lobe_atlas.write(atlas)
         return {"lobe_count": len(self._lobe_cells), "lobe": table, "lobe_border": 1 / width, "irradiance_cell": cells[0]}
 
-    def draw(self, view: View, objects: list[PlacedMesh]) -> Drawn:
-        """Draw and shade the view's members."""
-        target, shaded, kind = self._prepared(view, objects)
+    def draw(self, view: View, objects: list[PlacedMesh], *, ahead: bool = False) -> Drawn:
+        """Draw and shade the view's members. `ahead` of the frame that mirrors would show they may keep the last one."""
+        members = [objects[index] for index in view.members]
+        target, shaded, kind = self._prepared(view, members)
         visibility, number = self._light_visibility(view, target)
         # what no mirror shows is the same for as long as light and surfaces are
         lit_by = (0 if self._illumination is None else self._illumination.number, number)
-        if kind.shows_frame or shaded.lit_by != lit_by:
+        if shaded.lit_by != lit_by or kind.rings:
             self._shade(view, target, kind, visibility)
             shaded.lit_by = lit_by
+        elif kind.mirrors and not ahead:
+            self._shade(view, target, kind, visibility, [_pixels(view, item) for item in members if may_mirror(item)])
         assert target.silhouette.texture is not None
         return Drawn(view, target.texture, target.silhouette.texture, target.silhouette.uv_from_tangent())
 
     def draw_still(self, views: list[View], objects: list[PlacedMesh]) -> None:
-        """Draw, ahead of the next frame, the views that do not depend on it: those without mirrors."""
+        """Draw, ahead of the next frame, what does not depend on it."""
         for view in views:
-            if not self._prepared(view, objects)[2].shows_frame:
-                self.draw(view, objects)
+            self.draw(view, objects, ahead=True)
 
-    def _prepared(self, view: View, objects: list[PlacedMesh]) -> tuple[ViewTarget, _Shaded, Shading]:
+    def _prepared(self, view: View, members: list[PlacedMesh]) -> tuple[ViewTarget, _Shaded, Shading]:
         """The view's target with its surfaces drawn, and how they are to be shaded."""
-        members = [objects[index] for index in view.members]
         hiding = () if self._illumination is None else self._illumination.occluders
         target, is_new = self._surfaces.drawn(view, members, tuple(item.placed for item in hiding))
         if target not in self._shaded:
@@ -210,7 +224,7 @@ class ShadingStage:
         rings = self._illumination is not None and self._illumination.rings is not None
         return target, shaded, Shading(
             detailed, self._slots, lobes=glossy and bool(self._lobe_cells),
-            mirrors=detailed or min(roughnesses) < MIRROR_BELOW,
+            mirrors=any(map(may_mirror, members)),
             # the papers reflect the distant frame alone, in mirrors too
             reflects=not rings and (detailed or any(is_sharp(surface) for surface, _ in target.surfaces)), rings=rings)
 
@@ -232,7 +246,7 @@ class ShadingStage:
         illumination = self._illumination
         if illumination is None:
             return
-        target, shaded, _ = self._prepared(view, objects)
+        target, shaded, _ = self._prepared(view, [objects[index] for index in view.members])
         for slots in LIGHT_SLOTS:
             self.set_illumination(replace(illumination, lights=(Light(np.array([0.0, 1.0, 0.0]), np.ones(3), 0.01),) * slots))
             for lobes, mirrors, reflects in ((True, False, False), (True, False, True), (False, True, True), (True, True, True)):
@@ -246,7 +260,9 @@ class ShadingStage:
             return self._visibility.all_visible, 0
         return self._visibility.texture(target, view, (*light.receivers, *light.occluders), light.lights)
 
-    def _shade(self, view: View, target: ViewTarget, kind: Shading, visibility: moderngl.Texture) -> None:
+    def _shade(self, view: View, target: ViewTarget, kind: Shading, visibility: moderngl.Texture,
+               only: list[tuple[int, int, int, int]] | None = None) -> None:
+        """The whole view, or `only` some rectangles of it."""
         program, triangle = self._shading_program(kind)
         target.shaded.use()
         target.shaded.viewport = (0, 0, *view.size)
@@ -264,7 +280,10 @@ class ShadingStage:
         set_uniforms(program, {"has_light_visibility": int(visibility is not self._visibility.all_visible)})
         set_uniforms(program, {**self._uniforms, "world_from_view": view.rotation,  # GL reads rows as columns: the transpose
                                "view_bounds": (left, bottom, right - left, top - bottom), "view_size": view.size})
-        triangle.render(moderngl.TRIANGLES, 3)
+        for rectangle in only or [(0, 0, *view.size)]:
+            target.shaded.scissor = rectangle
+            triangle.render(moderngl.TRIANGLES, 3)
+        target.shaded.scissor = (0, 0, *target.texture.size)
 
     def _solids(self, view: View) -> dict[str, object]:
         """The objects nearest to a view's members, which they may reflect."""
@@ -283,9 +302,16 @@ class ShadingStage:
             spheres[slot] = (*item.body.solid.centre, item.body.solid.radius)
             colors[slot] = (*item.body.color, index)
             cell = self._lobe_cells.get(quantized_roughness(surface.roughness))
-            kinds[slot], lobes[slot] = (KINDS.index(item.body.solid.kind), surface.metallic, cell is None), cell or (0.0, 0.0, 0.0)
+            kinds[slot] = (KINDS.index(item.body.solid.kind), surface.metallic, cell is None)
+            lobes[slot] = self._sharpest if cell is None else cell
         return {"solid_count": len(nearest), "unit_from_world": matrices, "solid_color": colors, "solid_kind": kinds,
                 "solid_lobe": lobes, "solid_sphere": spheres}
+
+    def reset(self) -> None:
+        """The next light has nothing to do with the last one."""
+        self._visibility.reset()
+        for shaded in self._shaded.values():
+            shaded.lit_by = None
 
     def release(self) -> None:
         release_all(*(shaded.table for shaded in self._shaded.values()), self._lobe_atlas, self._dfg, self._visibility,

@@ -253,6 +253,10 @@ class ShadowStage:
             set_uniforms(self._missing_program, {"cell": viewport, "hidden_sh": coefficients})
             self._missing_triangle.render(moderngl.TRIANGLES, 3)
 
+    def reset(self) -> None:
+        """Forget the lights: the next ones have nothing to do with them."""
+        self._lights.clear()
+
     def begin(self, keys: set[str], lights: set[int]) -> None:
         """Begin a frame. Free the cells of objects and lights that are gone: all but those of `keys` and `lights` (ids)."""
         self._lights = {name: kept for name, kept in self._lights.items() if name[0] in keys and name[1] in lights}

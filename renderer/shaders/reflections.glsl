@@ -9,7 +9,7 @@ uniform vec4 solid_sphere[MAX_SOLIDS];  // around each
 uniform mat4 unit_from_world[MAX_SOLIDS];
 uniform vec4 solid_color[MAX_SOLIDS];   // colour; object
 uniform vec3 solid_kind[MAX_SOLIDS];    // kind, metallic, 1 for a mirror
-uniform vec3 solid_lobe[MAX_SOLIDS];    // its map in the atlas, unless it is a mirror
+uniform vec3 solid_lobe[MAX_SOLIDS];    // its map in the atlas; a mirror's is the sharpest that there is
 
 vec3 ground_ratio(vec3 at, float footprint) {
     vec2 uv = (at.xz - ground_missing_rect.xy) * ground_missing_rect.zw;

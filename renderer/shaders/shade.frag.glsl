@@ -121,10 +121,10 @@ vec3 solid_radiance(int index, vec3 at, vec3 ray, float blur) {
     vec3 e = filtered_light(normal, irradiance_cell);
     for (int i = 0; i < LIGHTS; ++i) e += light_irradiance[i] * max(dot(normal, light_direction[i]), 0.0);
     vec3 onward = seen_direction(at, reflect(ray, normal));
-    vec3 sharp = textureLod(radiance_map, uv_from_direction(onward), 0.0).rgb, blurred = filtered_light(onward, solid_lobe[index]);
+    vec3 reflected = filtered_light(onward, solid_lobe[index]);
     float metallic = solid_kind[index].y;
     vec3 color = solid_color[index].rgb, f0 = mix(vec3(0.04), color, metallic);
-    return color * (1.0 - metallic) * e / PI + f0 * (solid_kind[index].z > 0.5 ? mix(sharp, e / PI, smoothstep(0.05, 0.5, blur)) : blurred);
+    return color * (1.0 - metallic) * e / PI + f0 * mix(reflected, e / PI, solid_kind[index].z * smoothstep(0.05, 0.5, blur));
 }
 
 Reflection reflection(Surface s, vec3 ray) {
@@ -170,7 +170,7 @@ Reflection reflection(Surface s, vec3 ray) { return Reflection(seen_direction(s.
 vec3 shade(Surface s, vec3 view, vec3 mirror_ray, vec3 step_x, vec3 step_y, vec4 visible) {
     float n_dot_v = clamp(dot(s.normal, view), 1e-3, 1.0);
     float alpha = max(s.roughness * s.roughness, 2e-3);
-    bool mirror = s.roughness < mirror_below;
+    bool mirror = HAS_MIRRORS == 1 && s.roughness < mirror_below;
     vec3 f0 = mix(vec3(0.04), s.color, s.metallic);
     float rows = float(textureSize(dfg_table, 0).y);
     vec3 ab = textureLod(dfg_table, vec2(n_dot_v, (s.roughness * (rows - 1.0) + 0.5) / rows), 0.0).rgb;

@@ -26,7 +26,7 @@ from renderer.pipeline import Pipeline
 from renderer.scene import Scene
 from renderer.timings import Timings
 from server.demo.clip import demo_clip
-from server.demo.sample_scene import sample_scene
+from server.demo.sample_scene import GROUND_Y, sample_scene
 from server.worker.encode import Composited, Encoder, default_bitrate
 from server.worker.picture import FramePool, PictureReader
 from server.worker.render_loop import warm_up
@@ -77,10 +77,10 @@ def run_bench(arguments: argparse.Namespace) -> int:
 
 
 def bench(count: int, width: int = WIDTH, fps: int = FPS) -> dict[str, Any]:
-    """Frames of the demo's clip through decoder, renderer and encoder; the demo's scene, then an empty one."""
+    """Frames of the demo's clip through decoder, renderer and encoder; the demo's scene, five objects, then none."""
     clip, size = demo_clip(width, fps), (width, width // 2)
     context = Context()
-    scenes = {"demo": Scene.model_validate(sample_scene()), "empty": Scene()}
+    scenes = {"demo": Scene.model_validate(sample_scene()), "five objects": five_objects(), "empty": Scene()}
     report = {
         "machine": {"processors": os.cpu_count(), "machine": platform.processor() or platform.machine(),
                     "renderer": context.renderer, "load_average": os.getloadavg()[0]},
@@ -88,6 +88,17 @@ def bench(count: int, width: int = WIDTH, fps: int = FPS) -> dict[str, Any]:
         "scenes": {name: _run(context, clip, scene, size, fps, count).as_json() for name, scene in scenes.items()}}
     context.release()
     return report
+
+
+def five_objects() -> Scene:
+    """The demo's scene with a mirror and a cylinder of glossy metal."""
+    scene = sample_scene()
+    scene["objects"] += [
+        {"id": "mirror", "mesh": "sphere", "position": [0.7, GROUND_Y + 0.3, -1.8], "scale": [0.6] * 3,
+         "material": {"base_color": [0.95, 0.95, 0.95], "metallic": 1.0, "roughness": 0.0}},
+        {"id": "cylinder", "mesh": "cylinder", "position": [-0.7, GROUND_Y + 0.4, -1.9], "scale": [0.5, 0.8, 0.5],
+         "material": {"base_color": [0.95, 0.75, 0.45], "metallic": 1.0, "roughness": 0.25}}]
+    return Scene.model_validate(scene)
 
 
 def _run(context: Context, clip: Path, scene: Scene, size: tuple[int, int], fps: int, count: int) -> _Samples:
