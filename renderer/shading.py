@@ -70,6 +70,7 @@ class _Shaded:
     table: moderngl.Texture
     table_of: int | None = None             # numbers of the illumination
     lit_by: tuple[int, int] | None = None   # and of the lights' visibility
+    times: int = 0                          # that it was made
 
 
 class Drawn(NamedTuple):
@@ -176,6 +177,12 @@ class ShadingStage:
 
     def draw(self, view: View, objects: list[PlacedMesh]) -> Drawn:
         """Draw and shade the view's members."""
+        target, _ = self.picture(view, objects)
+        assert target.silhouette.texture is not None
+        return Drawn(view, target.texture, target.silhouette.texture, target.silhouette.uv_from_tangent())
+
+    def picture(self, view: View, objects: list[PlacedMesh]) -> tuple[ViewTarget, int]:
+        """The target with the view's members drawn and shaded, and how often it has been: another number for another picture."""
         target, shaded, kind = self._prepared(view, objects)
         visibility, number = self._light_visibility(view, target)
         # what no mirror shows is the same for as long as light and surfaces are
@@ -183,14 +190,14 @@ class ShadingStage:
         if kind.shows_frame or shaded.lit_by != lit_by:
             self._shade(view, target, kind, visibility)
             shaded.lit_by = lit_by
-        assert target.silhouette.texture is not None
-        return Drawn(view, target.texture, target.silhouette.texture, target.silhouette.uv_from_tangent())
+            shaded.times += 1
+        return target, shaded.times
 
     def draw_still(self, views: list[View], objects: list[PlacedMesh]) -> None:
         """Draw, ahead of the next frame, the views that do not depend on it: those without mirrors."""
         for view in views:
             if not self._prepared(view, objects)[2].shows_frame:
-                self.draw(view, objects)
+                self.picture(view, objects)
 
     def _prepared(self, view: View, objects: list[PlacedMesh]) -> tuple[ViewTarget, _Shaded, Shading]:
         """The view's target with its surfaces drawn, and how they are to be shaded."""
@@ -249,6 +256,8 @@ class ShadingStage:
     def _shade(self, view: View, target: ViewTarget, kind: Shading, visibility: moderngl.Texture) -> None:
         program, triangle = self._shading_program(kind)
         target.shaded.use()
+        if view.mirror_y is not None:
+            target.shaded.clear()       # it is blurred, with what is beside the view
         target.shaded.viewport = (0, 0, *view.size)
         self._panorama.bind(program)
         textures = {"radiance_map": self._radiance_texture, "dfg_table": self._dfg, "lobe_atlas": self._lobe_atlas,
@@ -262,7 +271,8 @@ class ShadingStage:
         left, right, bottom, top = view.bounds
         set_uniforms(program, self._solids(view) | {"ground_missing_rect": self.ground_missing.rect})
         set_uniforms(program, {"has_light_visibility": int(visibility is not self._visibility.all_visible)})
-        set_uniforms(program, {**self._uniforms, "world_from_view": view.rotation,  # GL reads rows as columns: the transpose
+        set_uniforms(program, {**self._uniforms, "world_from_view": view.axes,  # GL reads rows as columns: the transpose
+                               "camera_y": view.camera_y,
                                "view_bounds": (left, bottom, right - left, top - bottom), "view_size": view.size})
         triangle.render(moderngl.TRIANGLES, 3)
 
