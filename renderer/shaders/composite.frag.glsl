@@ -98,20 +98,23 @@ vec4 object_radiance(vec3 direction, float covered) {
 }
 
 // What the pixel in this direction needs: the objects' radiance, the ground's ratio, and what the ground mirrors.
-struct Layers { vec4 object; vec3 ratio; vec4 mirrored; };
+#if !FLOOR
+struct Floor { vec4 mirrored; };
+#endif
+struct Layers { vec4 object; vec3 ratio; Floor ground; };
 
 Layers layers_at(vec3 direction, vec3 missing_residual, float covered) {
     vec3 missing = missing_residual + missing_light(direction);
     vec3 ratio = clamp(1.0 - missing / max(ground_irradiance, vec3(1e-6)), 0.0, MAX_RATIO);
     return Layers(object_radiance(direction, covered), mix(ratio, vec3(1.0), lessThan(ground_irradiance, vec3(1e-6))),
 #if FLOOR
-        floor_reflection(direction));
+        floor_at(direction));
 #else
-        vec4(0.0));
+        Floor(vec4(0.0)));
 #endif
 }
 
-bool differs(Layers layers) { return max(layers.object.a, layers.mirrored.a) > TOUCHED || any(greaterThan(abs(layers.ratio - 1.0), vec3(TOUCHED))); }
+bool differs(Layers layers) { return max(layers.object.a, layers.ground.mirrored.a) > TOUCHED || any(greaterThan(abs(layers.ratio - 1.0), vec3(TOUCHED))); }
 
 // `opposite`: what the ground mirrored there.
 vec3 composite(Layers layers, vec3 background, vec3 opposite) {
@@ -128,7 +131,7 @@ vec3 composite(Layers layers, vec3 background, vec3 opposite) {
     layers.ratio = vec3(1.0);
 #endif
 #if FLOOR
-    background = max(background * layers.ratio + layers.mirrored.rgb - layers.mirrored.a * opposite, 0.0);
+    background = with_floor(layers.ground, background, layers.ratio, opposite);
     layers.ratio = vec3(1.0);
 #endif
     return background * layers.ratio * (1.0 - layers.object.a) + layers.object.rgb;
@@ -156,7 +159,7 @@ bool owned(vec3 d) {
 vec3 opposite_radiance(Layers layers, vec3 mirrored_yuv, vec2 middle) {
     vec3 found = vec3(0.0);
 #if FLOOR
-    for (int once = layers.mirrored.a > TOUCHED ? 1 : 0; once > 0; --once)  // a loop: see object_radiance
+    for (int once = layers.ground.mirrored.a > TOUCHED ? 1 : 0; once > 0; --once)  // a loop: see object_radiance
         found = floor_environment(radiance_from_signal(rgb_from_yuv * vec4(mirrored_yuv, 1.0)), middle);
 #endif
     return found;
