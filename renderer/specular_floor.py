@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 UP = np.array([0.0, 1.0, 0.0])
 MAX_HALF_ANGLE = np.radians(68.0)  # of a mirrored view: it need not be as even as one of the objects themselves
 MAX_SPREAD = 0.3           # standard deviation in radians
+COARSE_SPREAD = 0.03       # from here on half the resolution is enough
 REACH = 2.5                # standard deviations that the blur reaches
 LEVELS = 6                 # of mirrored pictures; see surfaces.py
 REDUCTION = 4              # view pixels a side of a texel of distances; as in floor_distance.frag.glsl
@@ -52,7 +53,9 @@ def mirrored_views(outlines: list[Array], ground: Ground, ground_y: float, frame
     for mask in tiles:
         mask[:frame_size[1] // 2 // TILE] = False       # no ground there
     views = plan_views([grown[index] for index in seen], tiles, frame_size, MAX_HALF_ANGLE)
+    coarser = 2 if spread > COARSE_SPREAD else 1
     return tuple(replace(view, members=tuple(seen[member] for member in view.members), mirror_y=ground_y,
+                         size=(-(-view.size[0] // coarser), -(-view.size[1] // coarser)), density=view.density / coarser,
                          depth_range=(NEAR_M, view.depth_range[1])) for view in views if view.cube_axis < 0)
 
 
