@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from renderer.irradiance import basis, disc_cosine
 from renderer.light_detection import Light
-from renderer.near_field import Body, Fit, functions, texels
+from renderer.near_field import Body, Fit, texels
 
 Array = NDArray[np.floating]
 DIRECTIONS = 64
@@ -35,7 +35,7 @@ def bounced(body: Body, fit: Fit, irradiance: NDArray[np.float32], lights: tuple
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     received = irradiance.reshape(-1, 3)[texels(normals, irradiance.shape[0])].astype(np.float64)
     places = body.solid.centre + normals * body.solid.radius - [0.0, BASE * body.solid.radius, 0.0]
-    received *= np.maximum(functions(places, normals, fit.centre, fit.size, ground_y) @ fit.coefficients, 0.0)
+    received *= fit.ratio(places, normals, ground_y)
     for light in lights:
         received += light.irradiance * disc_cosine(normals @ light.direction, light.angular_radius)[:, None]
     return np.asarray(solver @ (body.albedo * received / np.pi))

@@ -19,7 +19,7 @@ SRGB8_ALPHA8 = 0x8C43      # moderngl has no name for it
 SLOTS: tuple[Slot, ...] = get_args(Slot)
 _IN_SRGB = ("base_color", "emissive")
 _MOVING = (("position", 3), ("normal", 3), ("tangent", 4))
-_STILL = (("uv", 2), ("uv2", 2), ("color", 4))
+_STILL = (("openness", 1), ("uv", 2), ("uv2", 2), ("color", 4))
 ROUGHNESS_PERCENTILES = (2.0, 35.0, 65.0, 98.0)
 _NO_TANGENT = (1.0, 0.0, 0.0, 1.0)
 
@@ -119,11 +119,13 @@ class GpuPart:
         self.has_colors = primitive.colors is not None
         self.roughnesses = _roughnesses(primitive.surface)
         count = len(primitive.positions)
-        still = [primitive.uvs, primitive.uvs if primitive.uvs2 is None else primitive.uvs2,
-                 np.ones((count, 4)) if primitive.colors is None else primitive.colors]
+        still: list[NDArray[np.floating]] = [
+            np.ones((count, 1)), primitive.uvs, primitive.uvs if primitive.uvs2 is None else primitive.uvs2,
+            np.ones((count, 4)) if primitive.colors is None else primitive.colors]
         self._posed = Posed(primitive.positions, primitive.normals, primitive.tangents)
         self._moving = gl.buffer(_interleaved(self._posed))
-        self._still = gl.buffer(np.concatenate(still, axis=1).astype("f4").tobytes())
+        self._still_values = np.concatenate(still, axis=1).astype("f4")
+        self._still = gl.buffer(self._still_values.tobytes())
         self._indices = gl.buffer(primitive.triangles.astype("i4").tobytes())
         self.vertex_arrays = {name: self._vertex_array(gl, program) for name, program in programs.items()}
 
@@ -141,6 +143,11 @@ class GpuPart:
         if posed.positions is not self._posed.positions:
             self._posed = posed
             self._moving.write(_interleaved(posed))
+
+    def set_openness(self, values: NDArray[np.float32]) -> None:
+        """(n,) share of the light around that reaches each vertex past the mesh itself."""
+        self._still_values[:, 0] = values
+        self._still.write(self._still_values.tobytes())
 
     @property
     def is_detailed(self) -> bool:

@@ -15,6 +15,7 @@ Array = NDArray[np.floating]
 SIZE = 128                 # texels a side
 MAX_MAPS = 64              # as in ground_ratio.vert.glsl
 LEVELS = 5
+PATIENCE = 4               # frames that it may be late: nobody sees a reflected shadow lag
 TOLERANCE = 0.02           # of a light's share: from here on the picture is drawn anew
 FIRST_UNIT = 8
 
@@ -30,6 +31,7 @@ class GroundRatioStage:
         self.texture.build_mipmaps(0, LEVELS)
         self.texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
         self._framebuffer = context.gl.framebuffer([self.texture])
+        self._waited = 0
         self._drawn: tuple[list[ShadowMap], list[ShadowMap], Array] | None = None
         self.rect = (0.0, 0.0, 1.0, 1.0)        # x0, z0, 1 / width, 1 / depth in metres
 
@@ -37,10 +39,12 @@ class GroundRatioStage:
              shadows: ShadowStage) -> None:
         """`lights` and `total` are irradiances of the open ground; map indices refer to `lights`."""
         shares = np.array([*lights, total]) / np.maximum(total, 1e-6)
-        if self._drawn is not None and self._drawn[:2] == (maps, ambient) and self._drawn[2].shape == shares.shape and (
-                np.abs(self._drawn[2] - shares).max() < TOLERANCE):
+        self._waited += 1
+        drawn = self._drawn
+        if drawn is not None and drawn[2].shape == shares.shape and (self._waited < PATIENCE or (
+                drawn[:2] == (maps, ambient) and np.abs(drawn[2] - shares).max() < TOLERANCE)):
             return
-        self._drawn = (maps, ambient, shares)
+        self._waited, self._drawn = 0, (maps, ambient, shares)
         self._framebuffer.use()
         self._framebuffer.clear()
         rects = np.array([shadow.rect for shadow in (*maps, *ambient)])

@@ -27,8 +27,8 @@ def disc_directions(direction: Array, angular_radius: float, count: int) -> Arra
     return np.asarray(cosine[:, None] * direction + (sine * np.cos(phi))[:, None] * right + (sine * np.sin(phi))[:, None] * up)
 
 
-def hardly_moved(before: Light, now: Light, tolerance: float = STALE_SHARE) -> bool:
-    """By less than this share of its radius, and without growing much."""
+def hardly_moved(before: Light, now: Light, tolerance: float = STALE_SHARE, least: float = STALE_MIN) -> bool:
+    """By less than this share of its radius or `least` radians, and without growing much."""
     moved = float(np.arccos(np.clip(before.direction @ now.direction, -1, 1)))
     grown = abs(before.angular_radius - now.angular_radius)
-    return moved <= max(tolerance * now.angular_radius, STALE_MIN) and grown <= 0.2 * now.angular_radius
+    return moved <= max(tolerance * now.angular_radius, least) and grown <= 0.2 * now.angular_radius

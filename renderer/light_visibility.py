@@ -24,6 +24,7 @@ Array = NDArray[np.floating]
 MAX_LIGHTS = 4             # in one view; a channel each
 SIZE = 512                 # texels a side of a depth map
 MIN_SHARE = 0.02           # of what all lights give; weaker ones go through
+STALE = np.radians(1.0)     # how far a light may move before its shadows on objects are drawn anew
 _MARGIN = 1.02
 
 
@@ -75,7 +76,7 @@ class LightVisibilityStage:
         states = tuple(b"".join(receivers[index].placed.state() for index in indices) for indices in casters)
         kept = self._kept.get(target)
         if kept is not None and kept.view is view and kept.casters == states and len(kept.lights) == len(strong) and all(
-                hardly_moved(before, now) for before, now in zip(kept.lights, strong, strict=True)):
+                hardly_moved(before, now, least=STALE) for before, now in zip(kept.lights, strong, strict=True)):
             return kept.texture, kept.number
         if kept is None:
             texture = self._context.texture(target.texture.size, 4, "f1", linear=False)

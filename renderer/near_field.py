@@ -31,6 +31,8 @@ CONTACT = 4.0             # how fast the contact term falls with height, in size
 FUNCTIONS = 10
 RIDGE = 1e-3
 RATIO_RANGE = (0.0, 4.0)
+STALE = np.radians(1.0)     # how far a light may move before the rays to it are cast anew
+COAT = 0.04               # of the light that falls on it, reflected by whatever is no metal
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,11 @@ class Body:
     is_convex: bool
     albedo: Array
 
+    @property
+    def color(self) -> Array:
+        """(3,) base colour: `albedo` without what the coat reflects."""
+        return np.asarray(np.maximum(self.albedo - COAT, 0.0) / (1 - 2 * COAT))
+
 
 @dataclass(frozen=True)
 class Fit:
@@ -51,6 +58,10 @@ class Fit:
     centre: Array
     size: float
     coefficients: Array
+
+    def ratio(self, points: Array, normals: Array, ground_y: float) -> Array:
+        """(n, 3) irradiance near by distant."""
+        return np.maximum(functions(points, normals, self.centre, self.size, ground_y) @ self.coefficients, 0.0)
 
 
 def functions(points: Array, normals: Array, centre: Array, size: float, ground_y: float) -> Array:
@@ -79,11 +90,16 @@ def surface_points(mesh: Mesh, count: int = POINTS) -> tuple[Array, Array]:
 
 def mean_albedo(surface: Surface) -> Array:
     """(3,) share of light that a surface gives back, roughly: metals as much as their colour."""
+    return np.asarray(COAT + (1 - 2 * COAT) * mean_color(surface))
+
+
+def mean_color(surface: Surface) -> Array:
+    """(3,) linear base colour, the mean of a textured one."""
     color = np.array(surface.base_color[:3])
     if surface.base_color_texture is not None:
         mean = surface.base_color_texture[..., :3].reshape(-1, 3).mean(axis=0) / 255.0
         color = color * mean**2.2
-    return np.asarray(0.04 + 0.92 * color)
+    return np.asarray(color)
 
 
 @lru_cache(maxsize=4)
@@ -150,7 +166,7 @@ class _GroundPatch:
     def _light_share(self, light: Light) -> Array:
         """(cells,) share of a light that arrives; kept until it has moved."""
         kept = self._lights.get(light.id)
-        if kept is None or not hardly_moved(kept[0], light):
+        if kept is None or not hardly_moved(kept[0], light, least=STALE):
             directions = disc_directions(light.direction, light.angular_radius, LIGHT_RAYS)
             kept = self._lights[light.id] = (light, _visibility(self.points, directions, self.solids).mean(axis=1))
         return kept[1]

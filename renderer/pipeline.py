@@ -9,7 +9,6 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.bounce import bounced
 from renderer.color import srgb_from_linear
 from renderer.composite import CompositeStage, DrawView, GroundLight, Touched
 from renderer.frame import Frame, RadianceFrame, RgbFrame, YuvFrame, check_size
@@ -21,6 +20,8 @@ from renderer.light_detection import MAX_LIGHTS, Light
 from renderer.light_reading import FrameAccess, FrameLight, LightReader
 from renderer.light_refinement import MomentStage
 from renderer.light_visibility import Receiver
+from renderer.mesh import Mesh
+from renderer.openness import OpennessStage
 from renderer.panorama import PanoramaTextures
 from renderer.placement import TILE, TileMask, View, touched_tiles
 from renderer.placing import Placement, Placer
@@ -57,14 +58,24 @@ class _Lit:
 
 
 @dataclass(frozen=True)
+class TouchedRadiance:
+    """(height, width, 3) radiance as it was composited, and the (height, width) mask of those pixels that have been touched."""
+
+    rgb: NDArray[np.float32]
+    mask: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
 class Rendered:
-    """The composited frame; `errors` names the objects that could not be drawn and why."""
+    """The composited frame; `errors` names the objects that could not be drawn and why. `touched`: of an RgbFrame, what its codes
+    were rounded from; None where nothing was drawn."""
 
     frame: Frame
     light: FrameLight
     touched_fraction: float
     timings: Timings
     errors: dict[str, str]
+    touched: TouchedRadiance | None = None
 
 
 class Pipeline:
@@ -80,7 +91,8 @@ class Pipeline:
         self._shading = ShadingStage(context, self._panorama, self._surfaces, self._radiance.texture)
         self._shadows = ShadowStage(context, size, self._surfaces)
         self._composite = CompositeStage(context, self._panorama)
-        self._placer = Placer(lambda mesh: GpuMesh(context, self._surfaces.programs, mesh), size, assets, mesh_root)
+        self._openness = OpennessStage(context, self._surfaces)
+        self._placer = Placer(self._upload, size, assets, mesh_root)
         self._reader = LightReader()
         self._surroundings = Surroundings()
         is_reduced = self._radiance.size[0] < size[0] or self._radiance.size[1] < size[1]
@@ -92,6 +104,11 @@ class Pipeline:
         self._lit: _Lit | None = None
         self._illuminations = 0
         self._shadow_tiles: dict[tuple[ShadowMap, float], TileMask] = {}
+
+    def _upload(self, mesh: Mesh) -> GpuMesh:
+        uploaded = GpuMesh(self._context, self._surfaces.programs, mesh)
+        self._openness.bake(uploaded)
+        return uploaded
 
     @property
     def placement(self) -> Placement | None:
@@ -136,10 +153,10 @@ class Pipeline:
                                           self._floor(scene, placement))
             self._context.start()   # while the planes are being copied
         with timings.stage("write"):
-            composited = self._write(frame, touched, output)
+            composited, radiance = self._write(frame, touched, output)
         self._context.collect()
         fraction = len(touched) * TILE * TILE / (self._size[0] * self._size[1])
-        return Rendered(composited, light, fraction, timings, placement.errors)
+        return Rendered(composited, light, fraction, timings, placement.errors, radiance)
 
     def read_light(self, moment: float | None = None, lighting: Lighting | None = None) -> tuple[FrameLight, Timings]:
         """The light of the frame that was rendered last, which is shown at `moment` seconds."""
@@ -253,20 +270,17 @@ class Pipeline:
         if filtered:
             self._shadows.weigh_ambient(list(by_object.values()), [screen_space_occlusion(light.coefficients)] * len(by_object))
         else:
-            self._weigh_ambient(by_object, placed, light, ground.y)
+            self._weigh_ambient(by_object, light, has_near=bool(self._shading.near))
 
         touched = self._touched([shadow for shadow in (*maps, *ambient) if shadow is not None], ground.y)
         return [item for item in touched if item.shadow.light >= 0], [item for item in touched if item.shadow.light < 0]
 
-    def _weigh_ambient(self, shadows: dict[str, ShadowMap], placed: dict[str, PlacedMesh], light: FrameLight,
-                       ground_y: float) -> None:
-        lights = tuple(item for item in _rendered(light) if not item.is_wide)
-        near = dict(zip(placed, self._shading.near, strict=False))
+    def _weigh_ambient(self, shadows: dict[str, ShadowMap], light: FrameLight, *, has_near: bool) -> None:
         hidden = [light.coefficients[:9] for _ in shadows]
         for index, key in enumerate(shadows):
-            if key in near:
-                body = self._surroundings.body(placed[key])
-                hidden[index] = hidden[index] - bounced(body, near[key], light.irradiance, lights, ground_y)
+            given_back = self._surroundings.bounced(key) if has_near else None
+            if given_back is not None:
+                hidden[index] = hidden[index] - given_back
         self._shadows.weigh_ambient(list(shadows.values()), hidden)
 
     def _reflect_ground(self, placement: Placement, ground: GroundLight | None, maps: list[Touched],
@@ -305,16 +319,17 @@ class Pipeline:
 
         return SpecularFloor(placement.mirrored, picture, scene.ground.specular, self._radiance.texture if spread > 0 else None)
 
-    def _write(self, frame: Frame, tiles: NDArray[np.intp], output: YuvFrame | None) -> Frame:
+    def _write(self, frame: Frame, tiles: NDArray[np.intp], output: YuvFrame | None) -> tuple[Frame, TouchedRadiance | None]:
         if isinstance(frame, YuvFrame):
             composited = _copied(frame, output)
             self._composite.write_yuv(composited, tiles)
-            return composited
+            return composited, None
         radiance, touched = self._composite.touched_radiance(tiles, frame)
         if isinstance(frame, RadianceFrame):
-            return RadianceFrame(np.where(touched[..., None], radiance, frame.rgb))
+            return RadianceFrame(np.where(touched[..., None], radiance, frame.rgb)), None
         signal = srgb_from_linear(np.clip(linear_from_radiance(radiance), 0.0, 1.0))
-        return RgbFrame(np.where(touched[..., None], np.round(signal * 255).astype(np.uint8), frame.rgb))
+        codes = np.where(touched[..., None], np.round(signal * 255).astype(np.uint8), frame.rgb)
+        return RgbFrame(codes), TouchedRadiance(radiance, touched)
 
     def reset(self) -> None:
         """Forget the lights of earlier frames."""
@@ -324,6 +339,7 @@ class Pipeline:
     def release(self) -> None:
         self._context.rest()
         self._placer.release()
+        self._openness.release()
         release_all(self._composite, self._shadows, self._shading, self._surfaces, self._upper, self._rings, self._moments,
                     self._floor_blur, self._radiance, self._panorama)
 

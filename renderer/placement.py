@@ -20,7 +20,7 @@ MARGIN_PIXELS = 2
 MAX_VIEW_HALF_ANGLE = np.radians(50.0)
 NEAR_M = 0.02
 MAX_DENSITY = 2.0                  # view pixels per panorama pixel, at the centre of a view: at least 1, and more for a small one,
-VIEW_PIXELS = 20_000               # which is edges for the most part, up to this many in all
+VIEW_PIXELS = 10_000               # which is edges for the most part, up to this many in all
 MAX_VIEW_SIZE = 2048
 
 
@@ -147,7 +147,7 @@ def _mean_direction(points: Array) -> Array:
     return np.asarray(mean / max(float(np.linalg.norm(mean)), 1e-12))
 
 
-def looking_along(forward: Array) -> Array:
+def looking_along(forward: NDArray[np.floating]) -> Array:
     """(3, 3) rows right, up, forward."""
     helper = np.array([0.0, 1.0, 0.0]) if abs(forward[1]) < 0.9 else np.array([0.0, 0.0, 1.0])
     right = np.cross(forward, helper)

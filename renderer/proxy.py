@@ -10,6 +10,7 @@ from scipy.spatial import ConvexHull, QhullError
 Points = NDArray[np.float32]
 Triangles = NDArray[np.int32]
 _OUTLINE_STEPS = 4
+_MAX_GROWTH = 1.1           # of a proxy, for what it has lost of the volume
 _MAX_HULL_POINTS = 2048
 
 
@@ -34,7 +35,23 @@ def simplified(points: Points, triangles: Triangles, most: int) -> tuple[Points,
         points, triangles = _clustered(points, triangles, most)
     if not len(triangles):     # many parts in one place, of which it leaves nothing
         points, triangles = given[0], given[1][:most]
-    return np.asarray(points, dtype=np.float32), np.asarray(triangles, dtype=np.int32)
+    return np.asarray(_as_large(points, triangles, *given), dtype=np.float32), np.asarray(triangles, dtype=np.int32)
+
+
+def _as_large(points: Points, triangles: Triangles, given: Points, given_triangles: Triangles) -> Points:
+    """The points moved apart until the surface encloses what the given one does: corners alone lie inside of what is round."""
+    before, after = (volume(p, t) for p, t in ((given, given_triangles), (points, triangles)))
+    if not (after > 0 and before > 0):
+        return points
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    return np.asarray((points - centre) * np.clip((before / after) ** (1 / 3), 1.0, _MAX_GROWTH) + centre)
+
+
+def volume(points: Points, triangles: Triangles) -> float:
+    """Of what a closed surface encloses, by the divergence theorem."""
+    corners = points.astype(np.float64)[triangles]
+    corners -= corners.mean(axis=(0, 1))
+    return float(np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6)
 
 
 def _clustered(points: Points, triangles: Triangles, most: int) -> tuple[Points, Triangles]:

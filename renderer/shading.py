@@ -284,17 +284,18 @@ class ShadingStage:
         centre = np.mean([receivers[index].body.solid.centre for index in view.members], axis=0)
         distance = [float(np.linalg.norm(item.body.solid.centre - centre)) for item in receivers]
         nearest = sorted(range(len(receivers)), key=distance.__getitem__)[:MAX_SOLIDS]
-        matrices, colors = np.zeros((MAX_SOLIDS, 4, 4)), np.zeros((MAX_SOLIDS, 4))
+        matrices, colors, spheres = np.zeros((MAX_SOLIDS, 4, 4)), np.zeros((MAX_SOLIDS, 4)), np.zeros((MAX_SOLIDS, 4))
         kinds, lobes = np.zeros((MAX_SOLIDS, 3)), np.zeros((MAX_SOLIDS, 3))
         for slot, index in enumerate(nearest):
             item = receivers[index]
             surface = item.placed.surfaces[0]
             matrices[slot] = item.body.solid.unit_from_world.T
-            colors[slot] = (*item.body.albedo, index)
+            spheres[slot] = (*item.body.solid.centre, item.body.solid.radius)
+            colors[slot] = (*item.body.color, index)
             cell = self._lobe_cells.get(quantized_roughness(surface.roughness))
             kinds[slot], lobes[slot] = (KINDS.index(item.body.solid.kind), surface.metallic, cell is None), cell or (0.0, 0.0, 0.0)
         return {"solid_count": len(nearest), "unit_from_world": matrices, "solid_color": colors, "solid_kind": kinds,
-                "solid_lobe": lobes}
+                "solid_lobe": lobes, "solid_sphere": spheres}
 
     def release(self) -> None:
         release_all(*(shaded.table for shaded in self._shaded.values()), self._lobe_atlas, self._dfg, self._visibility,

@@ -25,10 +25,14 @@ from renderer.surfaces import SurfaceStage
 
 Array = NDArray[np.float64]
 LIGHT, AMBIENT, FINE_LIGHT = 0, 1, 2     # proxies, each with the program it is drawn by
-CELL = 128                 # texels a side of one light's shadow map
+CELL = 256                 # texels a side of one light's shadow map, at most
 AMBIENT_CELL = 64
 GRID = 8                   # cells a side of either atlas
-MAX_SAMPLES = 10
+MAX_SAMPLES = 32           # of a light's disc
+MAX_MOVING_SAMPLES = 10    # the same, and texels a side, of a shadow that has just moved
+MOVING_TEXELS = 128
+MOVING_SHARP = 4
+SETTLED_FRAMES = 8         # that a shadow holds before it is drawn finely again
 SHARP = 12                  # texels; a narrower penumbra shows the corners of a coarse proxy
 AMBIENT_SAMPLES = 96
 FIRST_UNIT = 8            # texture units after the panorama's
@@ -76,12 +80,14 @@ def _hemisphere_directions(count: int) -> Array:
     return np.stack([radius * np.cos(phi), np.sqrt(1 - radius**2), radius * np.sin(phi)], axis=1)
 
 
-@dataclass(frozen=True)
+@dataclass
 class _KeptShadow:
     cell: int
     place: bytes
     light: Light
     shadow: ShadowMap | None
+    is_fine: bool
+    frames: int = 0     # that it has held
 
 
 @dataclass
@@ -136,28 +142,34 @@ class ShadowStage:
 
         It holds while object and ground are as they were and the light has moved by less than a quarter of its radius:
         the shadow's edge then errs by less than an eighth of its penumbra. Up to a whole radius it waits for its turn, one
-        map a frame, so that a moving sun does not have all shadows drawn in the same frame.
+        map a frame, so that a moving sun does not have all shadows drawn in the same frame. What is drawn anew is drawn coarser
+        than at first, and finely again when nothing has moved for a while.
         """
         place = _place_state(placed, ground_y) + bytes([filtered])
         kept = self._lights.get((key, light.id))
         if kept is not None and kept.place == place:
             tolerance = STALE_SHARE if self._redrawn == 0 else 1.0
             if hardly_moved(kept.light, light, tolerance):
-                return replace(kept.shadow, light=light_index) if kept.shadow is not None else None
+                kept.frames += 1
+                if kept.is_fine or kept.frames < SETTLED_FRAMES or self._redrawn > 0:
+                    return replace(kept.shadow, light=light_index) if kept.shadow is not None else None
             self._redrawn += 1
         cell = kept.cell if kept is not None else self._free_cell()
         if cell is None:
             return None
-        draw = self._draw_filtered_shadow if filtered else self._draw_light_shadow
-        shadow = draw(placed, light, ShadowMap(cell, (0, 0, 0, 0), light_index), ground_y)
-        self._lights[(key, light.id)] = _KeptShadow(cell, place, light, shadow)
+        fresh = ShadowMap(cell, (0, 0, 0, 0), light_index)
+        is_fine = kept is None or (kept.place == place and kept.frames >= SETTLED_FRAMES)
+        shadow = (self._draw_filtered_shadow(placed, light, fresh, ground_y) if filtered
+                  else self._draw_light_shadow(placed, light, fresh, ground_y, is_fine=is_fine))
+        self._lights[(key, light.id)] = _KeptShadow(cell, place, light, shadow, is_fine or filtered)
         return shadow
 
     def _free_cell(self) -> int | None:
         used = {kept.cell for kept in self._lights.values()}
         return next((cell for cell in range(GRID * GRID) if cell not in used), None)
 
-    def _draw_light_shadow(self, placed: PlacedMesh, light: Light, shadow: ShadowMap, ground_y: float) -> ShadowMap | None:
+    def _draw_light_shadow(self, placed: PlacedMesh, light: Light, shadow: ShadowMap, ground_y: float, *,
+                           is_fine: bool) -> ShadowMap | None:
         points = placed.outline()
         height = float(points[:, 1].max()) - ground_y
         rim = np.concatenate([[light.direction], disc_directions(light.direction, light.angular_radius, 12)])
@@ -165,11 +177,12 @@ class ShadowStage:
         if height <= 0.0 or not len(rim):
             return None
         rect = _ground_rect(points, rim, ground_y)
-        texels = self._texels(rect, ground_y)
+        texels = min(self._texels(rect, ground_y), CELL if is_fine else MOVING_TEXELS)
         texel = max(rect[2] - rect[0], rect[3] - rect[1]) / texels
         elevation = max(float(light.direction[1]), 0.05)
         penumbra = 2 * light.angular_radius * height / elevation**2
-        count = 1 if penumbra < texel else int(np.clip(penumbra / texel, 6, MAX_SAMPLES))
+        most = MAX_SAMPLES if is_fine else MAX_MOVING_SAMPLES
+        count = 1 if penumbra < 2 * texel else int(np.clip(2 * penumbra / texel, 6, most))
         samples = disc_directions(light.direction, light.angular_radius, count) if count > 1 else light.direction[None]
         samples = samples[samples[:, 1] > MIN_ELEVATION]
         if not len(samples):
@@ -178,7 +191,7 @@ class ShadowStage:
         set_uniforms(self._light_program, {
             "sample_direction": np.pad(samples, ((0, 128 - len(samples)), (0, 0))), "sample_count": len(samples),
             "weight": 1.0 / count})
-        proxy = FINE_LIGHT if penumbra < SHARP * texel else LIGHT
+        proxy = FINE_LIGHT if penumbra < (SHARP if is_fine else MOVING_SHARP) * texel else LIGHT
         self._draw(self._target, self._light_program, proxy, placed, shadow, ground_y, len(samples))
         return shadow
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from renderer.mesh import Mesh
+from renderer.proxy import volume
 
 Array = NDArray[np.floating]
 Kind = Literal["box", "ellipsoid", "cylinder"]
@@ -37,9 +38,9 @@ def fitted_shape(mesh: Mesh) -> Shape:
     extent = np.maximum(high - low, _MIN_EXTENT)
     is_convex = False
     try:
-        volume = float(ConvexHull(points).volume)
-        share = volume / float(np.prod(extent))
-        is_convex = abs(_volume(mesh) - volume) < 0.01 * volume
+        hull = float(ConvexHull(points).volume)
+        share = hull / float(np.prod(extent))
+        is_convex = abs(sum(volume(p.positions, p.triangles) for p in mesh.primitives) - hull) < 0.01 * hull
     except (QhullError, ValueError):    # flat
         share = 1.0
     kind = min(KINDS, key=lambda name: abs(_VOLUMES[name] - share))
@@ -48,13 +49,6 @@ def fitted_shape(mesh: Mesh) -> Shape:
     matrix[:3, :3] = np.diag(extent * scale)
     matrix[:3, 3] = (low + high) / 2
     return Shape(kind, matrix, is_convex)
-
-
-def _volume(mesh: Mesh) -> float:
-    """Of a closed mesh, by the divergence theorem."""
-    corners = np.concatenate([p.positions[p.triangles] for p in mesh.primitives]).astype(np.float64)
-    corners -= corners.mean(axis=(0, 1))
-    return float(np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6)
 
 
 def hit(kind: Kind, origins: Array, directions: Array) -> tuple[Array, Array]:

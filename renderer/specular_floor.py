@@ -2,14 +2,16 @@
 
 A mirrored view shows the objects from the camera's mirror image below the ground, so depth, light and what they reflect are those
 of the objects themselves. Where the floor shows one, it no longer shows the frame's own radiance from there; the composite swaps
-the two, weighed by Schlick's reflectance (1994), whose value at right angles is `ground.specular`. Left as they are: what objects
-reflect of the ground, the light that the floor throws at them, and a group of objects that is wider than a view can be.
+the two, weighed by Schlick's reflectance (1994), whose value at right angles is `ground.specular`. A floor darker than its share of
+what it should mirror is not that specular in truth, so less is taken from it. Left as they are: what objects reflect of the ground,
+the light that the floor throws at them, and a group of objects that is wider than a view can be.
 
 Roughness: a Gaussian as wide as a Beckmann lobe of alpha = roughness^2, whose slopes have a standard deviation of alpha / sqrt(2):
 a facet turned by an angle turns the reflection by twice that in the plane of incidence and by 2 cos(incidence) across it. Seen
 from the camera this shrinks by the share of the way that lies behind the floor, 0 at a contact. That share is taken from the mean
 distance of what is mirrored nearby, and the blur from mip levels; the lobe's lean towards the horizon and its long tails are left
-out. What the rough floor showed before is taken from the small radiance map, whatever the roughness.
+out. What the rough floor showed before is taken from the small radiance map of the last frame whose light was read, whatever the
+roughness.
 """
 
 from __future__ import annotations

@@ -8,6 +8,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from renderer.bounce import bounced
 from renderer.gpu_mesh import GpuMesh, PlacedMesh
 from renderer.light_detection import Light
 from renderer.near_field import Body, Fit, NearField, mean_albedo, surface_points
@@ -24,6 +25,7 @@ class Surroundings:
         self._models: WeakKeyDictionary[GpuMesh, tuple[Shape, Array, Array, Array]] = WeakKeyDictionary()
         self._kept: dict[str, tuple[bytes, NearField]] = {}
         self._fits: dict[str, Fit] = {}
+        self._bounced: dict[str, Array] = {}
 
     def fits(self, objects: dict[str, PlacedMesh], ground_y: float | None, radiance: NDArray[np.float32],
              irradiance: NDArray[np.float32], lights: tuple[Light, ...]) -> tuple[Fit, ...]:
@@ -41,14 +43,17 @@ class Surroundings:
             state = b"".join([_state(objects[name]), *(_state(objects[other]) for other in others),
                               repr((ground_y, radiance.shape)).encode()])
             before = self._kept.get(name)
-            if before is None or (before[0] != state and waiting is None):
-                waiting = None if before is None else name
+            is_next = before is not None and before[0] != state and waiting is None
+            waiting = name if is_next else waiting
+            if before is None or is_next:
                 before = (state, NearField(body, list(others.values()), ground_y, radiance.shape[0]))
             kept[name] = before
         # the one that was served goes to the end of the queue
         self._kept = {name: kept[name] for name in sorted(kept, key=lambda name: name == waiting)}
         for name in self._due(kept, waiting):
-            self._fits[name] = kept[name][1].fit(radiance, irradiance, lights)
+            self._fits[name] = fit = kept[name][1].fit(radiance, irradiance, lights)
+            if ground_y is not None:
+                self._bounced[name] = bounced(bodies[name], fit, irradiance, lights, ground_y)
         return tuple(replace(self._fits[name], centre=bodies[name].solid.centre) for name in objects)
 
     def _due(self, kept: dict[str, tuple[bytes, NearField]], changed: str | None) -> list[str]:
@@ -61,6 +66,10 @@ class Surroundings:
             if name in self._fits:
                 self._fits[name] = self._fits.pop(name)     # to the end of the queue
         return due if oldest is None else [*due, oldest]
+
+    def bounced(self, name: str) -> Array | None:
+        """(9, 3) coefficients of the radiance that an object gives back to the ground, as of its last fit."""
+        return self._bounced.get(name)
 
     def reset(self) -> None:
         """The next light has nothing to do with the last one."""

@@ -35,7 +35,8 @@ void main() {
     float facing = dot(normal, light_direction);
     float texel = max(extent.x, extent.y) / float(textureSize(depth_map, 0).x);
     // off the surface by as much as it climbs within a texel, so that it does not hide itself
-    vec3 position = vec3(0.0, camera_y, 0.0) + direction * away + normal * (1.5 * texel * sqrt(max(1.0 - facing * facing, 0.0)) + 0.5 * texel);
+    vec3 position = vec3(0.0, camera_y, 0.0) + direction * away
+        + normal * (1.5 * texel * sqrt(max(1.0 - facing * facing, 0.0)) + 0.5 * texel);
     vec3 at = (clip_from_world * vec4(position, 1.0)).xyz * 0.5 + 0.5;
     vec2 metre = 1.0 / extent.xy;
     float bias = 0.75 * texel / extent.z;

@@ -5,6 +5,7 @@ const int BOX = 0, ELLIPSOID = 1, CYLINDER = 2;
 uniform sampler2D ground_missing;       // share of the ground's irradiance that is missing
 uniform vec4 ground_missing_rect;       // x0, z0, 1 / width, 1 / depth in metres
 uniform int solid_count;
+uniform vec4 solid_sphere[MAX_SOLIDS];  // around each
 uniform mat4 unit_from_world[MAX_SOLIDS];
 uniform vec4 solid_color[MAX_SOLIDS];   // colour; object
 uniform vec3 solid_kind[MAX_SOLIDS];    // kind, metallic, 1 for a mirror

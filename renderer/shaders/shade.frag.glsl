@@ -98,7 +98,7 @@ vec3 dominant_direction(vec3 mirrored, vec3 normal, float roughness) {
 #endif
 }
 
-struct Surface { int object; vec3 normal; vec3 position; vec3 color; float metallic; vec3 emissive; float roughness; vec3 lobe; vec3 nearby; float open; };
+struct Surface { int object; vec3 normal; vec3 position; vec3 color; float metallic; vec3 emissive; float roughness; vec3 lobe; vec3 nearby; vec3 open; };
 
 const float ROUGH = 0.6;    // from here on a lobe sees so much at once that what is near dims it as it dims diffuse light
 
@@ -141,18 +141,22 @@ Reflection reflection(Surface s, vec3 ray) {
     int met = -1;
     float met_blur = 0.0;
     for (int i = 0; i < (sharp ? solid_count : 0); ++i) {
-        if (int(solid_color[i].a) == s.object) continue;
-        vec3 from = (unit_from_world[i] * vec4(s.position, 1.0)).xyz, along = mat3(unit_from_world[i]) * ray;
-        vec3 span = solid_span(int(solid_kind[i].x), from, along);
-        float at = span.x < span.y ? span.x : max(-dot(from, along) / dot(along, along), 0.0);
-        float blur = 2.0 * spread * at * length(along), soft = 1.0 - smoothstep(1.0 - blur, 1.0 + blur, span.z);
-        float hidden = mix(span.x < span.y && span.y > 0.0 ? 1.0 : 0.0, at > 0.0 ? soft : 0.0, clamp(8.0 * spread, 0.0, 1.0));
-        if (hidden > found.hidden && at > 0.0 && at < nearest) {
-            found.hidden = hidden;
-            if (hidden > 0.99) nearest = at;
-            met = i;
-            met_blur = spread * (1.0 + 4.0 * at * length(along));   // its own curve spreads the lobe
-            found.light = s.position + ray * at;    // the place, for now
+        vec3 towards = solid_sphere[i].xyz - s.position;
+        float ahead = dot(towards, ray), reach = solid_sphere[i].w * (1.0 + 2.0 * spread) + 2.0 * spread * max(ahead, 0.0);
+        bool passes = int(solid_color[i].a) == s.object || ahead < -reach || dot(towards, towards) - ahead * ahead > reach * reach;
+        for (int once = passes ? 0 : 1; once > 0; --once) {     // a loop that few pixels enter
+            vec3 from = (unit_from_world[i] * vec4(s.position, 1.0)).xyz, along = mat3(unit_from_world[i]) * ray;
+            vec3 span = solid_span(int(solid_kind[i].x), from, along);
+            float at = span.x < span.y ? span.x : max(-dot(from, along) / dot(along, along), 0.0);
+            float blur = 2.0 * spread * at * length(along), soft = 1.0 - smoothstep(1.0 - blur, 1.0 + blur, span.z);
+            float hidden = mix(span.x < span.y && span.y > 0.0 ? 1.0 : 0.0, at > 0.0 ? soft : 0.0, clamp(8.0 * spread, 0.0, 1.0));
+            if (hidden > found.hidden && at > 0.0 && at < nearest) {
+                found.hidden = hidden;
+                if (hidden > 0.99) nearest = at;
+                met = i;
+                met_blur = spread * (1.0 + 4.0 * at * length(along));   // its own curve spreads the lobe
+                found.light = s.position + ray * at;    // the place, for now
+            }
         }
     }
     for (int once = met >= 0 ? 1 : 0; once > 0; --once) found.light = solid_radiance(met, found.light, ray, met_blur);
@@ -230,7 +234,12 @@ Surface surface_at(vec3 normal_times_distance, float surface, ivec2 sample_pixel
     s.emissive = emissive.rgb;
     s.roughness = emissive.a;
     s.object = int(texelFetch(surfaces, ivec2(2, int(surface)), 0).w);
-    s.open = 1.0 - fract(surface) / 0.9;
+    float open_share = 1.0 - fract(surface) / 0.9;
+#if DETAILED
+    s.open = vec3(open_share);
+#else
+    s.open = open_share / (1.0 - s.color * (1.0 - open_share));     // what is in the way gives back what it gets
+#endif
     s.nearby = near_field(int(surface), s.position, s.normal);
     return s;
 }

@@ -2,6 +2,7 @@
 // fragment shader for 4 x 4 pixels of every triangle, however small.
 in vec3 world_position;
 in vec3 world_normal;
+in float open_share;
 
 uniform float camera_y;                 // 0 but for the camera's mirror image in the ground
 uniform float surface_index;            // row of the table of surfaces, from 1; 0 is nothing
@@ -36,7 +37,7 @@ vec3 mapped_normal(vec3 normal) {
 
 void main() {
     vec3 normal = normalize(world_normal);
-    float occluded = 0.0;
+    float occluded = 1.0 - open_share;
 #if DETAILED
     vec4 color = material_color(BIAS);
     if (is_hole(color.a)) discard;
@@ -49,6 +50,8 @@ void main() {
     }
     if (!gl_FrontFacing) normal = -normal;
     if (has(NORMAL)) normal = mapped_normal(normal);
+    // what is in the way gives back what it gets; a texture says what is left in the end
+    occluded *= (1.0 - dot(color.rgb, vec3(0.3, 0.59, 0.11))) / (1.0 - dot(color.rgb, vec3(0.3, 0.59, 0.11)) * occluded);
     if (has(OCCLUSION)) occluded = occlusion_strength * (1.0 - texture(occlusion_texture, mapped(OCCLUSION), BIAS).r);
     if (has(EMISSIVE)) emissive_roughness.rgb *= texture(emissive_texture, mapped(EMISSIVE), BIAS).rgb;
     if (is_unlit != 0) {        // gives off its colour and reflects nothing

@@ -6,6 +6,8 @@ uniform float clip_below_y;     // the ground hides what is under it
 
 in vec3 position;
 in vec3 normal;
+in float openness;              // of the vertex to the light around, past the mesh itself
+out float open_share;
 out vec3 world_position;
 out vec3 world_normal;
 #if DETAILED
@@ -21,6 +23,7 @@ out vec4 vertex_color;
 void main() {
     vec4 world = world_from_model * vec4(position, 1.0);
     world_position = world.xyz;
+    open_share = openness;
     world_normal = normal_from_model * normal;
 #if DETAILED
     world_tangent = vec4(mat3(world_from_model) * tangent.xyz, tangent.w);

@@ -54,13 +54,13 @@ def _read_hdr(path: Path) -> NDArray[np.float32]:
         return np.ascontiguousarray(frame.to_ndarray(), dtype=np.float32)
 
 
-def write_still(path: Path, frame: RgbFrame | RadianceFrame, radiance: NDArray[np.float32] | None = None) -> None:
-    """`.png` is display-encoded, `.exr` linear radiance in channels R, G, B. `radiance` is an RgbFrame's, for `.exr`."""
+def write_still(path: Path, frame: RgbFrame | RadianceFrame) -> None:
+    """A RadianceFrame to `.exr`: linear floats in channels R, G, B as they are, whatever they are; any other frame and suffix:
+    8-bit display signal, for which NaN is black and infinity white. Raises ImageError when it cannot be written."""
     try:
-        if path.suffix.lower() == ".exr":
-            pixels = frame.rgb if isinstance(frame, RadianceFrame) else radiance
+        if path.suffix.lower() == ".exr" and isinstance(frame, RadianceFrame):
             header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-            OpenEXR.File(header, {"RGB": np.ascontiguousarray(pixels, dtype=np.float32)}).write(str(path))
+            OpenEXR.File(header, {"RGB": np.ascontiguousarray(frame.rgb, dtype=np.float32)}).write(str(path))
         elif isinstance(frame, RgbFrame):
             Image.fromarray(frame.rgb).save(path)
         else:

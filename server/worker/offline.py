@@ -22,7 +22,7 @@ from renderer.color import linear_from_srgb
 from renderer.frame import RadianceFrame, RgbFrame, YuvFrame
 from renderer.gl import Context, GLUnavailableError
 from renderer.inverse_tone_mapping import radiance_from_linear
-from renderer.pipeline import Pipeline, Rendered
+from renderer.pipeline import Pipeline, Rendered, TouchedRadiance
 from renderer.scene import Lighting, Scene
 from server.worker.clip import ClipWriter
 from server.worker.encode import CLOCK_RATE
@@ -163,14 +163,16 @@ def _render_still(context: Context, source: Path, output: Path, scene: Scene, sc
     pipeline.release()
     result = rendered.frame
     assert isinstance(result, RgbFrame | RadianceFrame)
-    write_still(output, result, _radiance(result) if output.suffix.lower() == ".exr" else None)
+    if output.suffix.lower() == ".exr" and isinstance(frame, RgbFrame):
+        result = _radiance(frame, rendered.touched)
+    write_still(output, result)
     return report
 
 
-def _radiance(frame: RgbFrame | RadianceFrame) -> np.ndarray[Any, np.dtype[np.float32]]:
-    if isinstance(frame, RadianceFrame):
-        return frame.rgb
-    return radiance_from_linear(linear_from_srgb(frame.rgb / 255.0)).astype(np.float32)
+def _radiance(frame: RgbFrame, touched: TouchedRadiance | None) -> RadianceFrame:
+    """Of a panorama: what was composited as it is, all else by inverse tone mapping of its codes."""
+    radiance = radiance_from_linear(linear_from_srgb(frame.rgb / 255.0)).astype(np.float32)
+    return RadianceFrame(radiance if touched is None else np.where(touched.mask[..., None], touched.rgb, radiance))
 
 
 def _video_frames(source: Path) -> Iterator[tuple[YuvFrame, float, float, int]]:

@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 
 from renderer.color import YuvFormat
 from renderer.frame import YuvFrame
+from server.worker.dither import dithered
 
 DIRECT_FORMATS = {"yuv420p", "yuvj420p"}
 MAX_WIDTH, MAX_HEIGHT = 8192, 4096
 MIN_SIDE = 16
 _BT601 = {5, 6}       # AVCOL_SPC_BT470BG, SMPTE170M
+_PQ = 16              # AVCOL_TRC_SMPTE2084
 _BT709 = 1
 _MPEG, _JPEG = 1, 2   # AVCOL_RANGE_*
 
@@ -57,30 +59,64 @@ def yuv_format(frame: VideoFrame) -> YuvFormat:
 
 
 class PictureReader:
-    """Turns decoded frames into 8-bit 4:2:0 planes of one size; only unusual formats and sizes go through swscale."""
+    """Turns decoded frames into 8-bit 4:2:0 planes of one size. Only unusual formats and sizes go through swscale; codes of more
+    than 8 bits are dithered."""
 
     def __init__(self, size: tuple[int, int]) -> None:
         self.size = size
         self._reformatter = VideoReformatter()
+        self._codes: list[NDArray[np.uint8]] = []
 
     def read(self, frame: VideoFrame) -> YuvFrame:
-        """Planes that are valid until the next call; copy to keep."""
-        if frame.format.name in DIRECT_FORMATS and (frame.width, frame.height) == self.size:
-            return YuvFrame(_plane(frame, 0), _plane(frame, 1), _plane(frame, 2), yuv_format(frame))
-        if frame.format.name.startswith(("rgb", "bgr", "gbr", "gray", "pal", "argb", "abgr", "rgba", "ya")):
-            converted = self._reformatter.reformat(frame, *self.size, "yuv420p", dst_colorspace=Colorspace.ITU709,
-                                                   dst_color_range=ColorRange.MPEG)
-            layout = YuvFormat("bt709", False)
-        else:
-            layout = yuv_format(frame)
-            converted = self._reformatter.reformat(frame, *self.size, "yuv420p")
-        self._kept = converted  # the planes point into it
-        return YuvFrame(_plane(converted, 0), _plane(converted, 1), _plane(converted, 2), layout)
+        """Planes that are valid until the next call; copy to keep. Raises PictureError for a format that cannot be converted."""
+        if int(frame.color_trc) == _PQ:     # whose codes would be taken for a display signal of another curve
+            raise PictureError("transfer 'smpte2084' (PQ) is not supported, expected BT.709, sRGB, BT.601 or HLG")
+        layout = YuvFormat("bt709", False) if _is_rgb(frame) else yuv_format(frame)
+        depth = _kept_bits(frame)
+        wanted = "yuv420p" if depth == 8 else f"yuv420p{depth}le"
+        if frame.format.name not in (DIRECT_FORMATS if depth == 8 else {wanted}) or (frame.width, frame.height) != self.size:
+            frame = self._converted(frame, wanted)
+        self._kept = frame      # the planes point into it
+        if depth > 8:
+            return self._dithered(frame, depth, layout)
+        return YuvFrame(_plane(frame, 0), _plane(frame, 1), _plane(frame, 2), layout)
+
+    def _converted(self, frame: VideoFrame, wanted: str) -> VideoFrame:
+        target = {"dst_colorspace": Colorspace.ITU709, "dst_color_range": ColorRange.MPEG} if _is_rgb(frame) else {}
+        try:
+            return self._reformatter.reformat(frame, *self.size, wanted, **target)
+        except (av.error.FFmpegError, OSError, ValueError):
+            raise PictureError(f"pixel format {frame.format.name!r} cannot be converted, expected one that libswscale reads, "
+                               f"such as yuv420p or yuv420p10le") from None
+
+    def _dithered(self, frame: VideoFrame, depth: int, layout: YuvFormat) -> YuvFrame:
+        width, height = self.size
+        if not self._codes:
+            self._codes = [np.empty(shape, dtype=np.uint8) for shape in ((height, width), *[(height // 2, width // 2)] * 2)]
+        for index, codes in enumerate(self._codes):
+            dithered(_deep_plane(frame, index), depth, full_range=layout.full_range, is_chroma=index > 0, out=codes)
+        return YuvFrame(self._codes[0], self._codes[1], self._codes[2], layout)
+
+
+def _is_rgb(frame: VideoFrame) -> bool:
+    """Or grey: without Y'CbCr's matrix and range."""
+    return frame.format.is_rgb or frame.format.name.startswith(("gray", "ya", "mono", "pal"))
+
+
+def _kept_bits(frame: VideoFrame) -> int:
+    """Of a code before dithering: 8, 10 or 12."""
+    bits = max((component.bits for component in frame.format.components), default=8)
+    return 8 if bits <= 8 else 10 if bits <= 10 or _is_rgb(frame) else 12
 
 
 def _plane(frame: VideoFrame, index: int) -> NDArray[np.uint8]:
     plane = frame.planes[index]
     return np.frombuffer(memoryview(plane), np.uint8).reshape(plane.height, plane.line_size)[:, :plane.width]
+
+
+def _deep_plane(frame: VideoFrame, index: int) -> NDArray[np.uint16]:
+    plane = frame.planes[index]
+    return np.frombuffer(memoryview(plane), "<u2").reshape(plane.height, plane.line_size // 2)[:, :plane.width]
 
 
 class FramePool:

@@ -176,13 +176,15 @@ class RenderLoop:
         geometry = {"width": frame.width, "height": frame.height, "pix_fmt": frame.format.name}
         self._report_state(flags=flags, input={**(self._state["input"] or {}), **geometry})
         self._frame_number += 1
-        if not (self._viewers or self._light_clients):
-            self._last = (self._reader.read(frame), decoded)
-            return
         started = time.perf_counter()
-        picture = self._reader.read(frame)
+        try:
+            picture = self._reader.read(frame)
+        except PictureError as error:
+            self._report_state(source="lost", detail=str(error))
+            return
         self._last = (picture, decoded)
-        self._render(picture, decoded, started, self._clock.timestamp(decoded.pts, decoded.decoded_at))
+        if self._viewers or self._light_clients:
+            self._render(picture, decoded, started, self._clock.timestamp(decoded.pts, decoded.decoded_at))
 
     def _repeat(self) -> None:
         """Render the last frame again: the source is silent, the scene may have changed."""

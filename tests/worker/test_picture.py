@@ -85,3 +85,10 @@ def test_a_pooled_frame_is_used_again_when_its_picture_is_dropped_and_not_before
     assert third.size == (1000, 500)
     assert (second.y == 9).all()
     assert yuv_format(third_video) == YuvFormat()
+
+
+def test_a_transfer_that_would_be_taken_for_another_is_refused_by_name() -> None:
+    frame = VideoFrame(64, 32, "yuv420p10le")
+    frame.color_trc = 16
+    with pytest.raises(PictureError, match=r"smpte2084.*expected BT\.709"):
+        PictureReader((64, 32)).read(frame)
