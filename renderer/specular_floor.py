@@ -3,8 +3,8 @@
 A mirrored view shows the objects from the camera's mirror image below the ground, so depth, light and what they reflect are those
 of the objects themselves. Where the floor shows one, it no longer shows the frame's own radiance from there; the composite swaps
 the two, weighed by Schlick's reflectance (1994), whose value at right angles is `ground.specular`. A floor darker than its share of
-what it should mirror is not that specular in truth, so less is taken from it. Left as they are: what objects reflect of the ground,
-the light that the floor throws at them, and a group of objects that is wider than a view can be.
+what it should mirror is not that specular in truth, so less is taken from it. Left as they are: what objects reflect of the ground
+and the light that the floor throws at them.
 
 Roughness: a Gaussian as wide as a Beckmann lobe of alpha = roughness^2, whose slopes have a standard deviation of alpha / sqrt(2):
 a facet turned by an angle turns the reflection by twice that in the plane of incidence and by 2 cos(incidence) across it. Seen
@@ -23,6 +23,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from renderer.equirectangular import direction_from_uv
 from renderer.gl import Context, release_all, set_uniforms
 from renderer.placement import NEAR_M, TILE, View, plan_views, touched_tiles
 from renderer.scene import Ground
@@ -55,10 +56,26 @@ def mirrored_views(outlines: list[Array], ground: Ground, ground_y: float, frame
     for mask in tiles:
         mask[:frame_size[1] // 2 // TILE] = False       # no ground there
     views = plan_views([grown[index] for index in seen], tiles, frame_size, MAX_HALF_ANGLE)
+    views = [view if view.cube_axis < 0 else _own_tiles(view, frame_size, spread) for view in views]
     coarser = 2 if spread > COARSE_SPREAD else 1
     return tuple(replace(view, members=tuple(seen[member] for member in view.members), mirror_y=ground_y,
                          size=(-(-view.size[0] // coarser), -(-view.size[1] // coarser)), density=view.density / coarser,
-                         depth_range=(NEAR_M, view.depth_range[1])) for view in views if view.cube_axis < 0)
+                         depth_range=(NEAR_M, view.depth_range[1])) for view in views if view.tiles.any())
+
+
+def _own_tiles(view: View, frame_size: tuple[int, int], spread: float) -> View:
+    """A cube face as a view for those of its tiles whose middle it shows, wide enough to show all of them, and what blurs into
+    them: one view a tile is all that the composite takes."""
+    rows, columns = view.tiles.shape
+    width, height = frame_size
+    uv = np.stack(np.meshgrid((np.arange(columns) + 0.5) * TILE / width, (np.arange(rows) + 0.5) * TILE / height), axis=-1)
+    middle = direction_from_uv(uv)
+    axis = np.abs(middle).argmax(axis=-1)
+    face = 2 * axis + (np.take_along_axis(middle, axis[..., None], axis=-1)[..., 0] < 0)
+    half = float(np.tan(np.pi / 4 + 1.5 * np.pi * TILE / height + REACH * spread))
+    size = tuple(int(np.ceil(side * half / view.bounds[1])) for side in view.size)
+    return replace(view, bounds=(-half, half, -half, half), size=(size[0], size[1]), tiles=view.tiles & (face == view.cube_axis),
+                   cube_axis=-1)
 
 
 def _grown(points: Array, ground_y: float, spread: float) -> Array:

@@ -16,7 +16,9 @@ const float SPACING = 1.2;      // between taps, in standard deviations; a texel
 const float OWN = 0.8;          // of the width is the taps', the rest is the texels'
 
 void main() {
-    vec3 forward = normalize(world_from_view * vec3(view_bounds.xy + gl_FragCoord.xy / view_size * view_bounds.zw, 1.0));
+    vec2 tangent = view_bounds.xy + gl_FragCoord.xy / view_size * view_bounds.zw;
+    vec3 forward = normalize(world_from_view * vec3(tangent, 1.0)), up = vec3(0.0, 1.0, 0.0) * world_from_view;
+    vec2 upright = normalize(up.xy - tangent * up.z + vec2(0.0, 1e-6));
     vec2 texel = 1.0 / vec2(textureSize(picture, 0)), uv = gl_FragCoord.xy * texel;
     vec2 radian = view_size / view_bounds.zw;       // in pixels
     float widest = log2(max(2.0 * spread * radian.y / REDUCTION, 1.0));
@@ -26,11 +28,12 @@ void main() {
     blurred = vec4(0.0);
     for (int once = mirrored.x > 0.0 ? 1 : 0; once > 0; --once) {
         float behind = clamp(1.0 - ground_y / min(forward.y, -1e-3) * mirrored.x / mirrored.y, 0.0, 1.0);
-        vec2 width = spread * behind * radian * vec2(-min(forward.y, 0.0), 1.0);
-        float level = log2(max(SPACING * sqrt(width.x * width.y), 1.0));
+        vec2 width = spread * behind * vec2(-min(forward.y, 0.0), 1.0);     // across the plane of incidence, and in it
+        float level = log2(max(SPACING * sqrt(width.x * width.y * radian.x * radian.y), 1.0));
         for (int i = 0; i < PAIRS; ++i) {
             float radius = OWN * sqrt(-2.0 * log(1.0 - (float(i) + 0.5) / float(PAIRS))), angle = float(i) * GOLDEN;
-            vec2 away = radius * vec2(cos(angle), sin(angle)) * width * texel;
+            vec2 turned = radius * width * vec2(cos(angle), sin(angle));
+            vec2 away = (turned.x * vec2(upright.y, -upright.x) + turned.y * upright) * radian * texel;
             blurred += textureLod(picture, uv + away, level) + textureLod(picture, uv - away, level);
         }
         blurred *= 0.5 / float(PAIRS);

@@ -200,6 +200,24 @@ def test_video_shows_the_same_as_radiance(context: Context, roughness: float) ->
     assert brighter.mean() > 20
 
 
+def test_images_all_around_are_whole(context: Context) -> None:
+    """Wider than a view can be: each at its place, as bright and as large as alone."""
+    angles = np.arange(12) * 2 * np.pi / 12
+    ring = [glowing((5 * np.sin(a), -0.5, -5 * np.cos(a)), 2.5) for a in angles]
+    frame = uniform(0.0)
+    pipeline = Pipeline(context, RadianceFrame, SIZE)
+    together = pipeline.render(frame, floor_scene(*ring, specular=1.0)).frame
+    assert pipeline.placement is not None
+    assert len({view.members for view in pipeline.placement.mirrored}) == 1     # not a view for each
+    assert len(pipeline.placement.mirrored) > 2
+    pipeline.release()
+    alone = np.max([radiance(context, frame, floor_scene(item, specular=1.0)) for item in ring], axis=0)
+    difference = np.abs(np.asarray(together.rgb[..., 1], dtype=np.float64) - alone)
+    assert difference.max() < 0.6       # edges, by samples that lie elsewhere
+    assert (difference > 0.1).sum() < 0.1 * (alone > 0).sum()
+    assert difference.mean() < 0.01
+
+
 def test_moving_objects_take_their_images_along(context: Context) -> None:
     frame = uniform(0.0)
     scenes = [floor_scene(glowing((x, -0.6, -3.0)), specular=1.0, roughness=0.2) for x in (-0.5, 0.0, 0.7)]
