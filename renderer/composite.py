@@ -18,6 +18,7 @@ from renderer.panorama import PanoramaTextures
 from renderer.placement import TILE, TileMask, View
 from renderer.shading import Drawn
 from renderer.shadows import ShadowMap, ShadowStage
+from renderer.specular_floor import SpecularFloor
 
 Array = NDArray[np.float64]
 # Maps of lights and of the residual in one tile: each pair has a program of its own, and a tile takes the first that is enough.
@@ -31,8 +32,8 @@ FIRST_UNIT = 16           # after those of the object stage, which draws in betw
 
 DrawView = Callable[[View], Drawn]
 NO_VIEW, PERSPECTIVE, CUBE_FACE = 0, 1, 2     # as in composite.frag.glsl
-Batch = tuple[tuple[int, int], int, int]      # of SLOTS; first point and number of points
-Variant = tuple[int, int, int, bool]   # kind of view; light maps; maps of the residual; additive
+Batch = tuple[tuple[int, int], int, int, int]     # of SLOTS; mirrored view or -1; first point and number of points
+Variant = tuple[int, int, int, bool, bool]   # kind of view; light maps; maps of the residual; additive; with a specular floor
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ class _Plan:
     view_points: list[tuple[int, int]]      # first and number of the points of each view that has any
     covered: int                            # tiles of all views together
     masks: list[TileMask]
-    sizes: tuple[int, int]
+    sizes: tuple[int, int, int]     # views, light maps, mirrored views
 
 
 class CompositeStage:
@@ -80,6 +81,8 @@ class CompositeStage:
         self._last_plan: _Plan | None = None
         self._last_drawn: Drawn | None = None
         self._additive = False
+        self._floor: SpecularFloor | None = None
+        self._pictures: list[moderngl.Texture] = []     # of its views
         self._rows = 0
         self._textures: list[moderngl.Texture] = []
         self._framebuffer: moderngl.Framebuffer | None = None
@@ -93,21 +96,23 @@ class CompositeStage:
         self._make_coverage(8)
 
     def run(self, views: list[View], draw_view: DrawView, maps: list[Touched], ambient: list[Touched],
-            ground: GroundLight | None, shadows: ShadowStage) -> NDArray[np.intp]:
+            ground: GroundLight | None, shadows: ShadowStage, floor: SpecularFloor | None = None) -> NDArray[np.intp]:
         """Draw every touched tile into the atlas. Returns the (n, 2) row and column of each, in atlas order."""
         maps = sorted(maps, key=lambda touched: touched.shadow.light)[:MAX_SHADOWS]
         ambient = ambient[:MAX_SHADOWS]
-        plan = self._plan(views, maps, ambient)
+        plan = self._plan(views, maps, ambient, () if floor is None else floor.views)
         if not len(plan.tiles):
             return plan.tiles
         self._reserve(len(plan.tiles))
         self._additive = ground is not None and ground.additive
+        self._floor = floor
         self._frame_uniforms = self._constants(maps, ambient, ground)
         self._prepared: set[Variant] = set()
         shadows.atlas.use(FIRST_UNIT + 1)
         shadows.ambient_atlas.use(FIRST_UNIT + 2)
         # all views first: reading a texture that has just been drawn makes a software renderer wait for it
         drawn = [draw_view(view) if batches else None for view, batches in zip(views, plan.batches, strict=False)]
+        self._pictures = [] if floor is None else [floor.picture(view) for view in floor.views]
         assert self._framebuffer is not None
         self._context.gl.enable_only(moderngl.PROGRAM_POINT_SIZE)
         self._draw_coverage(plan, [view for view in drawn if view is not None])
@@ -125,18 +130,18 @@ class CompositeStage:
         self._framebuffer.use()
         self._context.gl.enable_only(moderngl.PROGRAM_POINT_SIZE)
         for view in (None, self._last_drawn):
-            self._draw([(slots, 0, 1) for slots in SLOTS], view)
+            self._draw([(slots, mirrored, 0, 1) for slots in SLOTS for mirrored in range(-1, min(len(self._pictures), 1))], view)
         self._context.gl.enable_only(moderngl.NOTHING)
 
-    def _plan(self, views: list[View], maps: list[Touched], ambient: list[Touched]) -> _Plan:
+    def _plan(self, views: list[View], maps: list[Touched], ambient: list[Touched], mirrored: tuple[View, ...]) -> _Plan:
         """Which tiles are drawn with what; kept for as long as all masks are the same arrays."""
-        masks = [view.tiles for view in views] + [touched.tiles for touched in (*maps, *ambient)]
-        sizes = (len(views), len(maps))
+        masks = [view.tiles for view in (*views, *mirrored)] + [touched.tiles for touched in (*maps, *ambient)]
+        sizes = (len(views), len(maps), len(mirrored))
         kept = self._last_plan
         if kept is not None and kept.sizes == sizes and len(kept.masks) == len(masks) and all(
                 a is b for a, b in zip(kept.masks, masks, strict=True)):
             return kept
-        plan = self._last_plan = _make_plan(views, maps, ambient, masks, sizes)
+        plan = self._last_plan = _make_plan(views, maps, ambient, mirrored, masks, sizes)
         self._upload(plan.points)
         return plan
 
@@ -160,10 +165,11 @@ class CompositeStage:
 
     def _variant(self, variant: Variant) -> tuple[moderngl.Program, moderngl.VertexArray]:
         if variant not in self._programs:
-            view, maps, ambients, additive = variant
+            view, maps, ambients, additive, floor = variant
             self._programs[variant] = self._context.program("composite.vert.glsl", "composite.frag.glsl", {
                 **self._panorama.defines, "OUTPUT_YUV": int(self._is_yuv), "VIEW": view,
-                "MAPS": maps, "AMBIENTS": ambients, "COVERAGE": 0, "ADDITIVE": int(additive)})
+                "MAPS": maps, "AMBIENTS": ambients, "COVERAGE": 0, "ADDITIVE": int(additive),
+                "FLOOR": int(floor)})
         program = self._programs[variant]
         if variant not in self._vertex_arrays:
             self._vertex_arrays[variant] = self._vertex_array(program)
@@ -197,8 +203,8 @@ class CompositeStage:
 
     def _draw(self, batches: list[Batch], drawn: Drawn | None) -> None:
         kind = NO_VIEW if drawn is None else PERSPECTIVE if drawn.view.cube_axis < 0 else CUBE_FACE
-        for (maps, ambients), first, count in batches:
-            variant = (kind, maps, ambients, self._additive)
+        for (maps, ambients), mirrored, first, count in batches:
+            variant = (kind, maps, ambients, self._additive, mirrored >= 0)
             program, vertex_array = self._variant(variant)
             self._panorama.bind(program)
             if variant not in self._prepared:
@@ -206,6 +212,8 @@ class CompositeStage:
                 set_uniforms(program, self._frame_uniforms)
             if drawn is not None:
                 _bind_view(program, drawn)
+            if self._floor is not None and mirrored >= 0:
+                _bind_floor(program, self._floor, mirrored, self._pictures[mirrored])
             vertex_array.render(moderngl.POINTS, vertices=count, first=first)
 
     def _draw_coverage(self, plan: _Plan, drawn: list[Drawn]) -> None:
@@ -286,13 +294,29 @@ def _bind_view(program: moderngl.Program, drawn: Drawn) -> None:
         "view_scale": (view.size[0] / drawn.radiance.width, view.size[1] / drawn.radiance.height)})
 
 
-def _make_plan(views: list[View], maps: list[Touched], ambient: list[Touched], masks: list[TileMask],
-               sizes: tuple[int, int]) -> _Plan:
+def _bind_floor(program: moderngl.Program, floor: SpecularFloor, index: int, picture: moderngl.Texture) -> None:
+    view = floor.views[index]
+    picture.use(FIRST_UNIT + 4)
+    if floor.rough_radiance is not None:
+        floor.rough_radiance.use(FIRST_UNIT + 5)
+    left, right, bottom, top = view.bounds
+    set_uniforms(program, {
+        "floor_texture": FIRST_UNIT + 4, "floor_rough_radiance": FIRST_UNIT + 5, "floor_from_world": view.rotation.T,
+        "floor_bounds": (left, bottom, 1 / (right - left), 1 / (top - bottom)),
+        "floor_scale": (view.size[0] / picture.width, view.size[1] / picture.height),
+        "floor_specular": floor.specular, "floor_is_rough": int(floor.rough_radiance is not None)})
+
+
+def _make_plan(views: list[View], maps: list[Touched], ambient: list[Touched], mirrored: tuple[View, ...], masks: list[TileMask],
+               sizes: tuple[int, int, int]) -> _Plan:
     tiles = np.argwhere(np.logical_or.reduce(masks)) if masks else np.zeros((0, 2), dtype=np.intp)
     map_lists, ambient_lists = _reached(tiles, maps, SLOTS[-1][0]), _reached(tiles, ambient, SLOTS[-1][1])
     rows = np.concatenate([tiles[:, ::-1], np.arange(len(tiles))[:, None], map_lists, ambient_lists,
                            np.full((len(tiles), 1), -1)], axis=1).astype("i4")
     kinds = _slots(map_lists, ambient_lists)
+    mirrors = np.full(len(tiles), -1)
+    for index, view in enumerate(mirrored):
+        mirrors[view.tiles[tiles[:, 0], tiles[:, 1]]] = index
     in_views = [view.tiles[tiles[:, 0], tiles[:, 1]] for view in views]
     no_view = ~np.logical_or.reduce(in_views) if in_views else np.ones(len(tiles), dtype=bool)
     points: list[NDArray[np.int32]] = [np.zeros((0, POINT_INTS), dtype="i4")]
@@ -304,9 +328,9 @@ def _make_plan(views: list[View], maps: list[Touched], ambient: list[Touched], m
         rows[members, -1] = covered + np.arange(members.sum())      # by tile alone: it stays as other shadows come and go
         if members is not no_view and members.any():
             view_points.append((first, int(members.sum())))
-        for kind in np.unique(kinds[members]):
-            points.append(rows[members & (kinds == kind)])
-            batches[-1].append((SLOTS[kind], first, len(points[-1])))
+        for kind, mirror in np.unique(np.stack([kinds, mirrors], axis=1)[members], axis=0):
+            points.append(rows[members & (kinds == kind) & (mirrors == mirror)])
+            batches[-1].append((SLOTS[kind], int(mirror), first, len(points[-1])))
             first += len(points[-1])
         covered += int(members.sum()) if members is not no_view else 0
     return _Plan(tiles, np.concatenate(points), batches, view_points, covered, masks, sizes)

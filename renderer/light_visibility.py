@@ -121,7 +121,7 @@ class LightVisibilityStage:
         target.samples[0].use(FIRST_UNIT + 1)
         left, right, bottom, top = kept.view.bounds
         set_uniforms(self._programs[kept.is_fine], {
-            "depth_map": FIRST_UNIT, "geometry": FIRST_UNIT + 1, "world_from_view": kept.view.rotation,
+            "depth_map": FIRST_UNIT, "geometry": FIRST_UNIT + 1, "world_from_view": kept.view.axes, "camera_y": kept.view.camera_y,
             "view_bounds": (left, bottom, right - left, top - bottom), "view_size": kept.view.size,
             "clip_from_world": clip_from_world.T, "light_direction": light.direction,
             "extent": tuple(high - low), "spread": float(np.tan(light.angular_radius))})

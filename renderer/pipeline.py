@@ -32,6 +32,7 @@ from renderer.shading import MIRROR_BELOW, Illumination, ShadingStage, is_sharp,
 from renderer.shadow_mapping import screen_space_occlusion
 from renderer.shadows import ShadowMap, ShadowStage
 from renderer.specular import MIN_ROUGHNESS, prefilter_all, quantized_roughness
+from renderer.specular_floor import FloorBlurStage, SpecularFloor, lobe_spread
 from renderer.surfaces import SurfaceStage
 from renderer.surroundings import Surroundings
 from renderer.threshold_detection import HEIGHT as THRESHOLD_HEIGHT
@@ -99,6 +100,7 @@ class Pipeline:
         self._access = FrameAccess(self._upper_half, None if self._moments is None else self._moments.run)
         self._upper: RadianceMapStage | None = None     # made when it is first wanted
         self._rings: RingSource | None = None
+        self._floor_blur: FloorBlurStage | None = None
         self._lit: _Lit | None = None
         self._illuminations = 0
         self._shadow_tiles: dict[tuple[ShadowMap, float], TileMask] = {}
@@ -147,7 +149,8 @@ class Pipeline:
         lit = self._light_scene(scene, light, placement, timings)
         with timings.stage("objects_and_composite"):
             draw_view = self._drawing(placement)
-            touched = self._composite.run(placement.views, draw_view, lit.maps, lit.ambient, lit.ground, self._shadows)
+            touched = self._composite.run(placement.views, draw_view, lit.maps, lit.ambient, lit.ground, self._shadows,
+                                          self._floor(scene, placement))
             self._context.start()   # while the planes are being copied
         with timings.stage("write"):
             composited, radiance = self._write(frame, touched, output)
@@ -202,7 +205,7 @@ class Pipeline:
                 self._lit.lighting == scene.lighting):
             return self._lit
         with timings.stage("glossy"):
-            self._surfaces.keep(placement.views)
+            self._surfaces.keep([*placement.views, *placement.mirrored])
             rings = self._rings.texture if self._rings is not None and scene.lighting.method("glossy") == "rings36" else None
             if self._only_poses_differ(scene, light, placement):
                 self._shading.set_receivers(*self._receivers(scene, placement))
@@ -303,6 +306,21 @@ class Pipeline:
         objects = list(placement.objects.values())
         return lambda view: self._shading.draw(view, objects)
 
+    def _floor(self, scene: Scene, placement: Placement) -> SpecularFloor | None:
+        """How the ground mirrors the objects."""
+        if not placement.mirrored:
+            return None
+        objects = list(placement.objects.values())
+        spread = lobe_spread(scene.ground.roughness)
+        if spread > 0 and self._floor_blur is None:
+            self._floor_blur = FloorBlurStage(self._context)
+
+        def picture(view: View) -> moderngl.Texture:
+            target, number = self._shading.picture(view, objects)
+            return target.texture if self._floor_blur is None or spread == 0 else self._floor_blur.run(view, target, number, spread)
+
+        return SpecularFloor(placement.mirrored, picture, scene.ground.specular, self._radiance.texture if spread > 0 else None)
+
     def _write(self, frame: Frame, tiles: NDArray[np.intp], output: YuvFrame | None) -> tuple[Frame, TouchedRadiance | None]:
         if isinstance(frame, YuvFrame):
             composited = _copied(frame, output)
@@ -326,13 +344,13 @@ class Pipeline:
         self._placer.release()
         self._openness.release()
         release_all(self._composite, self._shadows, self._shading, self._surfaces, self._upper, self._rings, self._moments,
-                    self._radiance, self._panorama)
+                    self._floor_blur, self._radiance, self._panorama)
 
 
 def _still_views(placement: Placement) -> list[View]:
     """Those that no animation changes before the next frame."""
     moving = {index for index, name in enumerate(placement.objects) if name in placement.moving}
-    return [view for view in placement.views if not moving & set(view.members)]
+    return [view for view in (*placement.views, *placement.mirrored) if not moving & set(view.members)]
 
 
 def _copied(frame: Frame, output: YuvFrame | None) -> YuvFrame:

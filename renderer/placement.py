@@ -72,7 +72,7 @@ def touched_tiles(points: Array, frame_size: tuple[int, int]) -> TileMask:
 class View:
     """A perspective view from the origin. Rows of `rotation` are right, up, forward; `bounds` are left, right, bottom, top on
     the tangent plane; `cube_axis` is the face 2 * axis + negative, or -1 when the view is no cube face;
-    `density`, view pixels per panorama pixel."""
+    `density`, view pixels per panorama pixel. With `mirror_y` it shows the world mirrored at this height, in metres."""
 
     rotation: Array
     bounds: tuple[float, float, float, float]
@@ -82,6 +82,17 @@ class View:
     tiles: TileMask
     cube_axis: int = -1
     density: float = 1.0
+    mirror_y: float | None = None
+
+    @property
+    def camera_y(self) -> float:
+        """Height of the camera, or of its mirror image, in metres."""
+        return 0.0 if self.mirror_y is None else 2 * self.mirror_y
+
+    @property
+    def axes(self) -> Array:
+        """(3, 3) what of the world lies along right, up and forward; those of the mirrored camera where there is one."""
+        return self.rotation if self.mirror_y is None else self.rotation * (1.0, -1.0, 1.0)
 
     def clip_from_world(self) -> Array:
         """(4, 4) OpenGL projection times rotation."""
@@ -94,11 +105,13 @@ class View:
             [0, 0, 1, 0],
         ])
         world = np.eye(4)
-        world[:3, :3] = self.rotation
+        world[:3, :3] = self.axes
+        world[:3, 3] = -self.axes[:, 1] * self.camera_y
         return np.asarray(projection @ world)
 
 
-def plan_views(outlines: list[Array], tiles: list[TileMask], frame_size: tuple[int, int]) -> list[View]:
+def plan_views(outlines: list[Array], tiles: list[TileMask], frame_size: tuple[int, int],
+               max_half_angle: float = MAX_VIEW_HALF_ANGLE) -> list[View]:
     """Views for objects given by their (n, 3) world outlines and touched tiles, grouped where tiles are shared."""
     views: list[View] = []
     for group in _groups(tiles):
@@ -108,7 +121,7 @@ def plan_views(outlines: list[Array], tiles: list[TileMask], frame_size: tuple[i
         directions = points / np.linalg.norm(points, axis=1, keepdims=True)
         distance = np.linalg.norm(points, axis=1)
         depth_range = (max(NEAR_M, 0.3 * float(distance.min())), 2.0 * float(distance.max()) + 1.0)
-        if float((directions @ axis).min()) >= np.cos(MAX_VIEW_HALF_ANGLE):
+        if float((directions @ axis).min()) >= np.cos(max_half_angle):
             views.append(_single_view(points, axis, frame_size, depth_range, tuple(group), mask))
         else:
             views += [_cube_face(face, frame_size, depth_range, tuple(group), mask) for face in range(6)]

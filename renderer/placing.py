@@ -17,6 +17,7 @@ from renderer.mesh import Mesh, Surface
 from renderer.mesh_library import MeshLibrary
 from renderer.placement import View, plan_views, touched_tiles
 from renderer.scene import LocalSurface, Scene, SceneObject
+from renderer.specular_floor import mirrored_views
 
 Array = NDArray[np.float64]
 MIN_CAMERA_DISTANCE_M = 0.05
@@ -35,6 +36,7 @@ class Placement:
     errors: dict[str, str]
     moving: frozenset[str]
     number: int = 0         # the same for the moments of one scene
+    mirrored: tuple[View, ...] = ()     # views of the objects in a specular ground
 
     def is_later_than(self, other: Placement) -> bool:
         """Whether the two differ by nothing but poses."""
@@ -68,7 +70,7 @@ class Placer:
         else:
             placement = self._placed(scene, moment or 0.0)
         if last is not None:
-            placement = replace(placement, views=_kept(placement, last[2]))
+            placement = _with_kept_views(placement, last[2])
         self._last = (scene, self._meshes.state(names), placement)
         return placement
 
@@ -91,7 +93,7 @@ class Placer:
                     moving.add(item.id)
         self._meshes.keep({(item.mesh, item.id) for item in scene.objects if item.animation is not None})
         occluders = tuple(filter(None, (self._local(item, errors) for item in scene.local_scene)))
-        return self._viewed(Placement(objects, occluders, [], errors, frozenset(moving), next(self._numbers)))
+        return self._viewed(Placement(objects, occluders, [], errors, frozenset(moving), next(self._numbers)), scene)
 
     def _moved(self, scene: Scene, before: Placement, moment: float) -> Placement:
         """The same with the poses of another moment."""
@@ -100,12 +102,13 @@ class Placer:
             if item.id in before.moving:
                 placed = objects[item.id]
                 objects[item.id] = self._posed(item, placed, moment)
-        return self._viewed(replace(before, objects=objects))
+        return self._viewed(replace(before, objects=objects), scene)
 
-    def _viewed(self, placement: Placement) -> Placement:
+    def _viewed(self, placement: Placement, scene: Scene) -> Placement:
         outlines = [item.outline() for item in placement.objects.values()]
         tiles = [touched_tiles(points, self._size) for points in outlines]
-        return replace(placement, views=plan_views(outlines, tiles, self._size))
+        return replace(placement, views=plan_views(outlines, tiles, self._size),
+                       mirrored=mirrored_views(outlines, scene.ground, -scene.camera_height, self._size))
 
     def _object(self, item: SceneObject, moment: float, errors: dict[str, str]) -> PlacedMesh:
         clip = None if item.animation is None else item.animation.clip
@@ -140,19 +143,21 @@ class Placer:
         self._meshes.release()
 
 
-def _kept(placement: Placement, before: Placement) -> list[View]:
-    """The views, those of `before` where they show the same: what was drawn for them then still holds."""
+def _with_kept_views(placement: Placement, before: Placement) -> Placement:
+    """With the views of `before` where they show the same: what was drawn for them then still holds."""
     now, then = ([item.state() for item in one.objects.values()] for one in (placement, before))
     hidden = [[item.state() for item in one.occluders] for one in (placement, before)]
     if hidden[0] != hidden[1]:
-        return placement.views
-    return [next((old for old in before.views if _shows_the_same(view, old, now, then)), view) for view in placement.views]
+        return placement
+    views, mirrored = ([next((old for old in olds if _shows_the_same(view, old, now, then)), view) for view in views]
+                       for views, olds in ((placement.views, before.views), (placement.mirrored, before.mirrored)))
+    return replace(placement, views=views, mirrored=tuple(mirrored))
 
 
 def _shows_the_same(view: View, old: View, now: list[bytes], then: list[bytes]) -> bool:
     return (view.members == old.members and view.size == old.size and view.cube_axis == old.cube_axis
             and view.bounds == old.bounds and np.array_equal(view.rotation, old.rotation)
-            and view.depth_range == old.depth_range and np.array_equal(view.tiles, old.tiles)
+            and view.depth_range == old.depth_range and view.mirror_y == old.mirror_y and np.array_equal(view.tiles, old.tiles)
             and [now[i] for i in view.members] == [then[i] for i in old.members])
 
 

@@ -70,6 +70,7 @@ class _Shaded:
     table: moderngl.Texture
     table_of: int | None = None             # numbers of the illumination
     lit_by: tuple[int, int] | None = None   # and of the lights' visibility
+    times: int = 0                          # that it was made
 
 
 class Drawn(NamedTuple):
@@ -187,8 +188,15 @@ class ShadingStage:
         self._lobe_atlas.write(atlas)
         return {"lobe_count": len(self._lobe_cells), "lobe": table, "lobe_border": 1 / width, "irradiance_cell": cells[0]}
 
-    def draw(self, view: View, objects: list[PlacedMesh], *, ahead: bool = False) -> Drawn:
-        """Draw and shade the view's members. `ahead` of the frame that mirrors would show they may keep the last one."""
+    def draw(self, view: View, objects: list[PlacedMesh]) -> Drawn:
+        """Draw and shade the view's members."""
+        target, _ = self.picture(view, objects)
+        assert target.silhouette.texture is not None
+        return Drawn(view, target.texture, target.silhouette.texture, target.silhouette.uv_from_tangent())
+
+    def picture(self, view: View, objects: list[PlacedMesh], *, ahead: bool = False) -> tuple[ViewTarget, int]:
+        """The target with the view's members drawn and shaded, and how often it has been: another number for another picture.
+        `ahead` of the frame that mirrors would show they may keep the last one."""
         members = [objects[index] for index in view.members]
         target, shaded, kind = self._prepared(view, members)
         visibility, number = self._light_visibility(view, target)
@@ -197,15 +205,18 @@ class ShadingStage:
         if shaded.lit_by != lit_by or kind.rings:
             self._shade(view, target, kind, visibility)
             shaded.lit_by = lit_by
+            shaded.times += 1
         elif kind.mirrors and not ahead:
-            self._shade(view, target, kind, visibility, [_pixels(view, item) for item in members if may_mirror(item)])
-        assert target.silhouette.texture is not None
-        return Drawn(view, target.texture, target.silhouette.texture, target.silhouette.uv_from_tangent())
+            whole = view.mirror_y is not None
+            self._shade(view, target, kind, visibility,
+                        None if whole else [_pixels(view, item) for item in members if may_mirror(item)])
+            shaded.times += 1
+        return target, shaded.times
 
     def draw_still(self, views: list[View], objects: list[PlacedMesh]) -> None:
         """Draw, ahead of the next frame, what does not depend on it."""
         for view in views:
-            self.draw(view, objects, ahead=True)
+            self.picture(view, objects, ahead=True)
 
     def _prepared(self, view: View, members: list[PlacedMesh]) -> tuple[ViewTarget, _Shaded, Shading]:
         """The view's target with its surfaces drawn, and how they are to be shaded."""
@@ -265,6 +276,8 @@ class ShadingStage:
         """The whole view, or `only` some rectangles of it."""
         program, triangle = self._shading_program(kind)
         target.shaded.use()
+        if view.mirror_y is not None:
+            target.shaded.clear()       # it is blurred, with what is beside the view
         target.shaded.viewport = (0, 0, *view.size)
         self._panorama.bind(program)
         textures = {"radiance_map": self._radiance_texture, "dfg_table": self._dfg, "lobe_atlas": self._lobe_atlas,
@@ -278,7 +291,8 @@ class ShadingStage:
         left, right, bottom, top = view.bounds
         set_uniforms(program, self._solids(view) | {"ground_missing_rect": self.ground_missing.rect})
         set_uniforms(program, {"has_light_visibility": int(visibility is not self._visibility.all_visible)})
-        set_uniforms(program, {**self._uniforms, "world_from_view": view.rotation,  # GL reads rows as columns: the transpose
+        set_uniforms(program, {**self._uniforms, "world_from_view": view.axes,  # GL reads rows as columns: the transpose
+                               "camera_y": view.camera_y,
                                "view_bounds": (left, bottom, right - left, top - bottom), "view_size": view.size})
         for rectangle in only or [(0, 0, *view.size)]:
             target.shaded.scissor = rectangle

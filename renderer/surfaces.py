@@ -7,6 +7,7 @@ multisampling more than drawing at twice the size. Surfaces stay as drawn for as
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from typing import Any
 
 import moderngl
@@ -23,6 +24,7 @@ SAMPLES = 2               # a side of a pixel
 SILHOUETTE_STEP = 256
 SIZE_STEP = 64            # view targets come in a few sizes, so that moving objects do not allocate
 NO_POWER_OF_TWO = 8       # added to them: llvmpipe compiles other programs for powers of two, in mid-stream when one first comes
+MIRRORED_STEP = 64        # odd multiples for mirrored views: their mip levels 1 to 6 lose no texels
 FIRST_UNIT = 8            # texture units after the panorama's
 BELOW_NOTHING = -1e9
 MAX_SURFACES = 512
@@ -89,7 +91,7 @@ class SurfaceStage:
 
     def __init__(self, context: Context) -> None:
         self._context = context
-        self._targets: dict[tuple[int, int, bool], list[ViewTarget]] = {}
+        self._targets: dict[tuple[int, int, bool, bool], list[ViewTarget]] = {}
         self.programs = {
             f"{what}{' detailed' if detailed else ''}":
                 context.program(f"{vertex}.vert.glsl", f"{what}.frag.glsl", {"DETAILED": int(detailed)})
@@ -103,7 +105,7 @@ class SurfaceStage:
 
     def drawn(self, view: View, members: list[PlacedMesh], occluders: tuple[PlacedMesh, ...]) -> tuple[ViewTarget, bool]:
         """The view's target, its surfaces in it, and whether they had to be drawn anew. `occluders` are real things that hide
-        them, themselves unseen."""
+        them, themselves unseen. A mirrored view has no silhouette."""
         detailed = any(item.is_detailed for item in members)
         target = self._target(view, detailed)
         if target.view is view:
@@ -112,6 +114,11 @@ class SurfaceStage:
         target.surfaces = [(surface, index) for index, item in zip(view.members, members, strict=True)
                            for _, surface in item.parts()][:MAX_SURFACES - 1]
         sampled = (view.size[0] * SAMPLES, view.size[1] * SAMPLES)
+        set_uniforms(self.programs[f"surface{suffix}"], {"camera_y": view.camera_y})
+        if view.mirror_y is not None:
+            self._draw_mirrored(target.framebuffer, sampled, f"surface{suffix}", view, members, occluders)
+            target.view = view
+            return target, True
         self._draw(target.framebuffer, sampled, f"surface{suffix}", view.clip_from_world(), members, occluders)
         outline = target.silhouette.projection = silhouette_view(view)
         framebuffer = target.silhouette.reserve(outline.size, with_depth=bool(occluders))
@@ -142,8 +149,9 @@ class SurfaceStage:
                 target.view = None
 
     def _target(self, view: View, detailed: bool) -> ViewTarget:
-        width, height = (-(-side // SIZE_STEP) * SIZE_STEP + NO_POWER_OF_TWO for side in view.size)
-        targets = self._targets.setdefault((width, height, detailed), [])
+        step, more = (SIZE_STEP, NO_POWER_OF_TWO) if view.mirror_y is None else (2 * MIRRORED_STEP, MIRRORED_STEP)
+        width, height = (-(-side // step) * step + more for side in view.size)
+        targets = self._targets.setdefault((width, height, detailed, view.mirror_y is not None), [])
         for target in targets:
             if target.view is view:
                 return target
@@ -153,31 +161,39 @@ class SurfaceStage:
             targets.append(free)
         return free
 
+    def _draw_mirrored(self, framebuffer: moderngl.Framebuffer, size: tuple[int, int], name: str, view: View,
+                       members: list[PlacedMesh], occluders: tuple[PlacedMesh, ...]) -> None:
+        """Real things hide objects in the mirror, and the mirror itself."""
+        self._draw(framebuffer, size, name, replace(view, mirror_y=None).clip_from_world(), [], occluders)
+        self._draw(framebuffer, size, name, view.clip_from_world(), members, occluders, mirrored=True)
+
     def _draw(self, framebuffer: moderngl.Framebuffer, size: tuple[int, int], name: str, clip_from_world: NDArray[np.float64],
-              members: list[PlacedMesh], occluders: tuple[PlacedMesh, ...]) -> None:
+              members: list[PlacedMesh], occluders: tuple[PlacedMesh, ...], *, mirrored: bool = False) -> None:
+        """`mirrored`: over what is there, the world turned inside out."""
         gl, program = self._context.gl, self.programs[name]
         framebuffer.use()
         framebuffer.viewport = (0, 0, *size)
-        framebuffer.clear(0.0, 0.0, 0.0, 0.0, viewport=size)
+        if not mirrored:
+            framebuffer.clear(0.0, 0.0, 0.0, 0.0, viewport=size)
         gl.enable_only(moderngl.DEPTH_TEST if occluders or name.startswith("surface") else moderngl.NOTHING)
         gl.enable_direct(GL_CLIP_DISTANCE0)
         set_uniforms(program, {"clip_from_world": clip_from_world.T})
         if occluders:
             _write_colors(framebuffer, False)
             for item in occluders:
-                self._draw_object(item, name, program, 0)
+                self._draw_object(item, name, program, 0, mirrored)
             _write_colors(framebuffer, True)
         index = 1
         for item in members:
-            index = self._draw_object(item, name, program, index)
+            index = self._draw_object(item, name, program, index, mirrored)
         gl.front_face = "ccw"
         gl.disable_direct(GL_CLIP_DISTANCE0)
         gl.enable_only(moderngl.NOTHING)
 
-    def _draw_object(self, placed: PlacedMesh, name: str, program: moderngl.Program, index: int) -> int:
+    def _draw_object(self, placed: PlacedMesh, name: str, program: moderngl.Program, index: int, mirrored: bool = False) -> int:
         """Returns the index that follows those of its surfaces."""
         gl = self._context.gl
-        gl.front_face = "cw" if placed.is_mirrored else "ccw"
+        gl.front_face = "cw" if placed.is_mirrored != mirrored else "ccw"
         placed.mesh.take_pose(placed.pose)
         set_uniforms(program, placed.matrices())
         for part, surface in placed.parts():

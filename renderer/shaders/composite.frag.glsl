@@ -45,6 +45,9 @@ out vec4 pixel_out;                         // radiance, touched
 bool inside(vec2 uv) { return all(greaterThanEqual(uv, vec2(0.0))) && all(lessThanEqual(uv, vec2(1.0))); }
 
 #include "tile.glsl"
+#if FLOOR
+#include "specular_floor.glsl"
+#endif
 
 vec2 ground_point(vec3 direction) { return direction.xz * (ground_y / min(direction.y, -1e-3)); }
 
@@ -94,18 +97,27 @@ vec4 object_radiance(vec3 direction, float covered) {
 #endif
 }
 
-// What the pixel in this direction needs: the objects' radiance and the ground's ratio.
-struct Layers { vec4 object; vec3 ratio; };
+// What the pixel in this direction needs: the objects' radiance, the ground's ratio, and what the ground mirrors.
+#if !FLOOR
+struct Floor { vec4 mirrored; };
+#endif
+struct Layers { vec4 object; vec3 ratio; Floor ground; };
 
 Layers layers_at(vec3 direction, vec3 missing_residual, float covered) {
     vec3 missing = missing_residual + missing_light(direction);
     vec3 ratio = clamp(1.0 - missing / max(ground_irradiance, vec3(1e-6)), 0.0, MAX_RATIO);
-    return Layers(object_radiance(direction, covered), mix(ratio, vec3(1.0), lessThan(ground_irradiance, vec3(1e-6))));
+    return Layers(object_radiance(direction, covered), mix(ratio, vec3(1.0), lessThan(ground_irradiance, vec3(1e-6))),
+#if FLOOR
+        floor_at(direction));
+#else
+        Floor(vec4(0.0)));
+#endif
 }
 
-bool differs(Layers layers) { return layers.object.a > TOUCHED || any(greaterThan(abs(layers.ratio - 1.0), vec3(TOUCHED))); }
+bool differs(Layers layers) { return max(layers.object.a, layers.ground.mirrored.a) > TOUCHED || any(greaterThan(abs(layers.ratio - 1.0), vec3(TOUCHED))); }
 
-vec3 composite(Layers layers, vec3 background) {
+// `opposite`: what the ground mirrored there.
+vec3 composite(Layers layers, vec3 background, vec3 opposite) {
 #if ADDITIVE
     // background + (L_with - L_without), L = albedo E / pi, as MR360 has it (6.4): as albedo it takes the video's pixel, in linear
     // display light, right or not. The sum is one of radiances; the paper does not say in which scale its own is.
@@ -116,6 +128,10 @@ vec3 composite(Layers layers, vec3 background) {
 #endif
     albedo = min(albedo, vec3(1.0));
     background = max(background - albedo * (1.0 - layers.ratio) * ground_irradiance / PI, 0.0);
+    layers.ratio = vec3(1.0);
+#endif
+#if FLOOR
+    background = with_floor(layers.ground, background, layers.ratio, opposite);
     layers.ratio = vec3(1.0);
 #endif
     return background * layers.ratio * (1.0 - layers.object.a) + layers.object.rgb;
@@ -139,9 +155,21 @@ bool owned(vec3 d) {
 }
 
 #if OUTPUT_YUV
-vec3 composited_yuv(vec2 azimuth_trig, vec2 polar_trig, vec3 missing_residual, vec3 yuv, float covered) {
+// `mirrored_yuv`: of the pixel opposite; `middle`: of the block of four.
+vec3 opposite_radiance(Layers layers, vec3 mirrored_yuv, vec2 middle) {
+    vec3 found = vec3(0.0);
+#if FLOOR
+    for (int once = layers.ground.mirrored.a > TOUCHED ? 1 : 0; once > 0; --once)  // a loop: see object_radiance
+        found = floor_environment(radiance_from_signal(rgb_from_yuv * vec4(mirrored_yuv, 1.0)), middle);
+#endif
+    return found;
+}
+
+vec3 composited_yuv(vec2 azimuth_trig, vec2 polar_trig, vec3 missing_residual, vec3 yuv, float covered, vec3 mirrored_yuv,
+                    vec2 middle) {
     Layers layers = layers_at(direction_at(azimuth_trig, polar_trig), missing_residual, covered);
-    vec3 result = composite(layers, radiance_from_signal(rgb_from_yuv * vec4(yuv, 1.0)));
+    vec3 result = composite(layers, radiance_from_signal(rgb_from_yuv * vec4(yuv, 1.0)),
+                            opposite_radiance(layers, mirrored_yuv, middle));
     vec3 new_yuv = yuv_from_rgb * vec4(srgb_from_linear(linear_from_radiance(result)), 1.0);
     return differs(layers) ? new_yuv : yuv;
 }
@@ -157,12 +185,23 @@ void main() {
     vec4 luma = block_luma(first);
     vec2 chroma = block_chroma(first);
     vec4 covered = covered_at(ivec2(gl_FragCoord.xy) - cell_fragment);
+    vec4 mirrored_luma = vec4(0.0);
+    vec2 mirrored_chroma = vec2(0.0), block = vec2(first) + 1.0;
+#if FLOOR
+    ivec2 opposite = ivec2(first.x, frame_size.y - 2 - first.y);
+    mirrored_luma = block_luma(opposite).zwxy;
+    mirrored_chroma = block_chroma(opposite);
+#endif
     vec2 left = vec2(near.sine.x, near.cosine.x), right = vec2(far.sine.x, far.cosine.x);
     vec2 upper = vec2(near.sine.y, near.cosine.y), lower = vec2(far.sine.y, far.cosine.y);
-    vec3 upper_left = composited_yuv(left, upper, missing_residual, vec3(luma.x, chroma), covered.x);
-    vec3 upper_right = composited_yuv(right, upper, missing_residual, vec3(luma.y, chroma), covered.y);
-    vec3 lower_left = composited_yuv(left, lower, missing_residual, vec3(luma.z, chroma), covered.z);
-    vec3 lower_right = composited_yuv(right, lower, missing_residual, vec3(luma.w, chroma), covered.w);
+    vec3 upper_left = composited_yuv(left, upper, missing_residual, vec3(luma.x, chroma), covered.x,
+                                      vec3(mirrored_luma.x, mirrored_chroma), block);
+    vec3 upper_right = composited_yuv(right, upper, missing_residual, vec3(luma.y, chroma), covered.y,
+                                      vec3(mirrored_luma.y, mirrored_chroma), block);
+    vec3 lower_left = composited_yuv(left, lower, missing_residual, vec3(luma.z, chroma), covered.z,
+                                      vec3(mirrored_luma.z, mirrored_chroma), block);
+    vec3 lower_right = composited_yuv(right, lower, missing_residual, vec3(luma.w, chroma), covered.w,
+                                      vec3(mirrored_luma.w, mirrored_chroma), block);
     luma_block = vec4(upper_left.x, upper_right.x, lower_left.x, lower_right.x);
     chroma_block = vec4(0.25 * (upper_left.yz + upper_right.yz + lower_left.yz + lower_right.yz), 0.0, 1.0);
 }
@@ -174,6 +213,11 @@ void main() {
     if (!owned(direction)) discard;
     Layers layers = layers_at(direction, missing_ambient(direction), covered_at(in_tile).x);
     vec3 background = pixel_radiance(min(first_pixel + in_tile, frame_size - 1));
-    pixel_out = vec4(composite(layers, background), differs(layers) ? 1.0 : 0.0);
+    vec3 opposite = vec3(0.0);
+#if FLOOR
+    ivec2 mirrored = ivec2(first_pixel.x + in_tile.x, frame_size.y - 1 - first_pixel.y - in_tile.y);
+    opposite = floor_environment(pixel_radiance(clamp(mirrored, ivec2(0), frame_size - 1)), vec2(first_pixel + in_tile) + 0.5);
+#endif
+    pixel_out = vec4(composite(layers, background, opposite), differs(layers) ? 1.0 : 0.0);
 }
 #endif

@@ -3,6 +3,7 @@
 uniform sampler2D depth_map;
 uniform sampler2D geometry;             // 2 x 2 samples a pixel: normal times distance; surface, 0 for none
 uniform mat3 world_from_view;           // columns: right, up, forward
+uniform float camera_y;                 // 0 but for the camera's mirror image in the ground
 uniform vec4 view_bounds;               // left, bottom, width, height on the tangent plane
 uniform vec2 view_size;
 uniform mat4 clip_from_world;           // orthographic, along the light
@@ -57,5 +58,5 @@ void main() {
     visible = vec4(1.0);
     // loops, because a software renderer leaves those that no pixel enters
     for (int once = sum.a > 0.0 && dot(normal, light_direction) > -0.1 ? 1 : 0; once > 0; --once)
-        visible = vec4(visibility(direction * away, normal));
+        visible = vec4(visibility(vec3(0.0, camera_y, 0.0) + direction * away, normal));
 }

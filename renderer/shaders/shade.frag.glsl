@@ -15,6 +15,7 @@ uniform sampler2D emissive_roughness;
 #endif
 uniform sampler2D surfaces;             // a row a surface: colour + metallic, emissive + roughness, its lobe map, near field
 uniform mat3 world_from_view;           // columns: right, up, forward
+uniform float camera_y;                 // 0 but for the camera's mirror image in the ground
 uniform vec4 view_bounds;               // left, bottom, width, height on the tangent plane
 uniform vec2 view_size;
 
@@ -221,7 +222,7 @@ Surface surface_at(vec3 normal_times_distance, float surface, ivec2 sample_pixel
     float facing = dot(s.normal, direction);
     if (facing > 0.0) s.normal -= direction * (facing + 1e-3); // an interpolated normal may look away
     s.normal = normalize(s.normal);
-    s.position = direction * distance_from_camera;
+    s.position = direction * distance_from_camera + vec3(0.0, camera_y, 0.0);
 #if DETAILED
     vec4 color = texelFetch(color_metallic, sample_pixel, 0), emissive = texelFetch(emissive_roughness, sample_pixel, 0);
 #else

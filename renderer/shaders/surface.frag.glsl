@@ -4,6 +4,7 @@ in vec3 world_position;
 in vec3 world_normal;
 in float open_share;
 
+uniform float camera_y;                 // 0 but for the camera's mirror image in the ground
 uniform float surface_index;            // row of the table of surfaces, from 1; 0 is nothing
 layout(location = 0) out vec4 geometry; // normal times distance from the camera; surface, and how much is occluded as a fraction
 
@@ -58,5 +59,5 @@ void main() {
         emissive_roughness = vec4(color.rgb, 1.0);
     }
 #endif
-    geometry = vec4(normal * length(world_position), surface_index + 0.9 * clamp(occluded, 0.0, 1.0));
+    geometry = vec4(normal * length(world_position - vec3(0.0, camera_y, 0.0)), surface_index + 0.9 * clamp(occluded, 0.0, 1.0));
 }
