@@ -12,28 +12,25 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from renderer.catchers import CatcherLayer
 from renderer.frame import RadianceFrame, RgbFrame, YuvFrame
 from renderer.gl import Context, release_all, set_uniforms
 from renderer.panorama import PanoramaTextures
-from renderer.placement import TILE, TileMask, View
+from renderer.placement import TILE, View
 from renderer.shading import Drawn
-from renderer.shadows import ShadowMap, ShadowStage
+from renderer.shadows import ShadowStage
 from renderer.specular_floor import SpecularFloor
+from renderer.tile_plan import POINT_INTS, POINT_LAYOUT, SLOTS, Batch, TilePlan, Touched, make_plan
 
 Array = NDArray[np.float64]
-# Maps of lights and of the residual in one tile: each pair has a program of its own, and a tile takes the first that is enough.
-# Few, because each has to be compiled before the first frame.
-SLOTS = ((0, 1), (1, 1), (2, 2), (8, 4))
 MAX_SHADOWS = 64               # of each kind in one frame; as in composite.vert.glsl
-POINT_LAYOUT = (("tile", 3), ("maps_low", 4), ("maps_high", 4), ("ambients", 4), ("coverage_slot", 1))
-POINT_INTS = sum(count for _, count in POINT_LAYOUT)
 ATLAS_COLUMNS = 32
 FIRST_UNIT = 16           # after those of the object stage, which draws in between
 
 DrawView = Callable[[View], Drawn]
 NO_VIEW, PERSPECTIVE, CUBE_FACE = 0, 1, 2     # as in composite.frag.glsl
-Batch = tuple[tuple[int, int], int, int, int]     # of SLOTS; mirrored view or -1; first point and number of points
-Variant = tuple[int, int, int, bool, bool]   # kind of view; light maps; maps of the residual; additive; with a specular floor
+# kind of view; maps of lights, and of the residual; additive; with a specular floor; with catchers
+Variant = tuple[int, int, int, bool, bool, bool]
 
 
 @dataclass(frozen=True)
@@ -47,27 +44,6 @@ class GroundLight:
     additive: bool = False
 
 
-@dataclass(frozen=True)
-class Touched:
-    """Tiles of one shadow map."""
-
-    shadow: ShadowMap
-    tiles: TileMask
-
-
-@dataclass(frozen=True)
-class _Plan:
-    """Touched tiles in atlas order, the points to draw, and per view (the last entry: no view) which with each program."""
-
-    tiles: NDArray[np.intp]
-    points: NDArray[np.int32]
-    batches: list[list[Batch]]
-    view_points: list[tuple[int, int]]      # first and number of the points of each view that has any
-    covered: int                            # tiles of all views together
-    masks: list[TileMask]
-    sizes: tuple[int, int, int]     # views, light maps, mirrored views
-
-
 class CompositeStage:
     """Owns the composite program and its output atlas for one source geometry."""
 
@@ -78,11 +54,13 @@ class CompositeStage:
         self._fragments = TILE // 2 if self._is_yuv else TILE
         self._programs: dict[Variant, moderngl.Program] = {}
         self._vertex_arrays: dict[Variant, moderngl.VertexArray] = {}
-        self._last_plan: _Plan | None = None
+        self._last_plan: TilePlan | None = None
         self._last_drawn: Drawn | None = None
         self._additive = False
         self._floor: SpecularFloor | None = None
-        self._pictures: list[moderngl.Texture] = []     # of its views
+        self._catchers: CatcherLayer | None = None
+        self._pictures: list[moderngl.Texture] = []     # of the floor's views
+        self._ratios: list[moderngl.Texture] = []       # of the catchers'
         self._rows = 0
         self._textures: list[moderngl.Texture] = []
         self._framebuffer: moderngl.Framebuffer | None = None
@@ -96,16 +74,17 @@ class CompositeStage:
         self._make_coverage(8)
 
     def run(self, views: list[View], draw_view: DrawView, maps: list[Touched], ambient: list[Touched],
-            ground: GroundLight | None, shadows: ShadowStage, floor: SpecularFloor | None = None) -> NDArray[np.intp]:
+            ground: GroundLight, shadows: ShadowStage, floor: SpecularFloor | None = None,
+            catchers: CatcherLayer | None = None) -> NDArray[np.intp]:
         """Draw every touched tile into the atlas. Returns the (n, 2) row and column of each, in atlas order."""
         maps = sorted(maps, key=lambda touched: touched.shadow.light)[:MAX_SHADOWS]
         ambient = ambient[:MAX_SHADOWS]
-        plan = self._plan(views, maps, ambient, () if floor is None else floor.views)
+        plan = self._plan(views, maps, ambient, () if floor is None else floor.views, () if catchers is None else catchers.views)
         if not len(plan.tiles):
             return plan.tiles
         self._reserve(len(plan.tiles))
-        self._additive = ground is not None and ground.additive
-        self._floor = floor
+        self._additive = ground.additive
+        self._floor, self._catchers = floor, catchers
         self._frame_uniforms = self._constants(maps, ambient, ground)
         self._prepared: set[Variant] = set()
         shadows.atlas.use(FIRST_UNIT + 1)
@@ -113,6 +92,7 @@ class CompositeStage:
         # all views first: reading a texture that has just been drawn makes a software renderer wait for it
         drawn = [draw_view(view) if batches else None for view, batches in zip(views, plan.batches, strict=False)]
         self._pictures = [] if floor is None else [floor.picture(view) for view in floor.views]
+        self._ratios = [] if catchers is None else [catchers.picture(view) for view in catchers.views]
         assert self._framebuffer is not None
         self._context.gl.enable_only(moderngl.PROGRAM_POINT_SIZE)
         self._draw_coverage(plan, [view for view in drawn if view is not None])
@@ -130,18 +110,21 @@ class CompositeStage:
         self._framebuffer.use()
         self._context.gl.enable_only(moderngl.PROGRAM_POINT_SIZE)
         for view in (None, self._last_drawn):
-            self._draw([(slots, mirrored, 0, 1) for slots in SLOTS for mirrored in range(-1, min(len(self._pictures), 1))], view)
+            self._draw([Batch(slots, mirrored, -1, 0, 1) for slots in SLOTS for mirrored in range(-1, min(len(self._pictures), 1))],
+                       view)
         self._context.gl.enable_only(moderngl.NOTHING)
 
-    def _plan(self, views: list[View], maps: list[Touched], ambient: list[Touched], mirrored: tuple[View, ...]) -> _Plan:
-        """Which tiles are drawn with what; kept for as long as all masks are the same arrays."""
-        masks = [view.tiles for view in (*views, *mirrored)] + [touched.tiles for touched in (*maps, *ambient)]
-        sizes = (len(views), len(maps), len(mirrored))
+    def _plan(self, views: list[View], maps: list[Touched], ambient: list[Touched], *others: tuple[View, ...]) -> TilePlan:
+        """Which tiles are drawn with what; kept for as long as all masks are the same arrays. `others`: the mirrored views, and
+        those of catchers."""
+        masks = [view.tiles for view in (*views, *(view for group in others for view in group))]
+        masks += [touched.tiles for touched in (*maps, *ambient)]
+        sizes = (len(views), len(maps), *map(len, others))
         kept = self._last_plan
         if kept is not None and kept.sizes == sizes and len(kept.masks) == len(masks) and all(
                 a is b for a, b in zip(kept.masks, masks, strict=True)):
             return kept
-        plan = self._last_plan = _make_plan(views, maps, ambient, mirrored, masks, sizes)
+        plan = self._last_plan = make_plan(views, maps, ambient, others, masks, sizes)
         self._upload(plan.points)
         return plan
 
@@ -165,11 +148,11 @@ class CompositeStage:
 
     def _variant(self, variant: Variant) -> tuple[moderngl.Program, moderngl.VertexArray]:
         if variant not in self._programs:
-            view, maps, ambients, additive, floor = variant
+            view, maps, ambients, additive, floor, catchers = variant
             self._programs[variant] = self._context.program("composite.vert.glsl", "composite.frag.glsl", {
                 **self._panorama.defines, "OUTPUT_YUV": int(self._is_yuv), "VIEW": view,
                 "MAPS": maps, "AMBIENTS": ambients, "COVERAGE": 0, "ADDITIVE": int(additive),
-                "FLOOR": int(floor)})
+                "FLOOR": int(floor), "CATCHERS": int(catchers)})
         program = self._programs[variant]
         if variant not in self._vertex_arrays:
             self._vertex_arrays[variant] = self._vertex_array(program)
@@ -180,7 +163,7 @@ class CompositeStage:
         layout = " ".join(f"{count}i" if name in program else f"{4 * count}x" for name, count in POINT_LAYOUT)
         return self._context.gl.vertex_array(program, [(self._points, layout, *names)])
 
-    def _constants(self, maps: list[Touched], ambient: list[Touched], ground: GroundLight | None) -> dict[str, object]:
+    def _constants(self, maps: list[Touched], ambient: list[Touched], ground: GroundLight) -> dict[str, object]:
         assert self._framebuffer is not None
         values: dict[str, object] = {
             "view_texture": FIRST_UNIT, "shadow_atlas": FIRST_UNIT + 1, "ambient_atlas": FIRST_UNIT + 2,
@@ -189,8 +172,6 @@ class CompositeStage:
             "atlas_columns": ATLAS_COLUMNS}
         if self._is_yuv:
             values["yuv_from_rgb"] = self._panorama.format.yuv_from_rgb().T
-        if ground is None:
-            return values
         rects = np.zeros((4, MAX_SHADOWS, 4))
         for kind, touched in ((0, maps), (2, ambient)):
             for index, item in enumerate(touched):
@@ -203,8 +184,8 @@ class CompositeStage:
 
     def _draw(self, batches: list[Batch], drawn: Drawn | None) -> None:
         kind = NO_VIEW if drawn is None else PERSPECTIVE if drawn.view.cube_axis < 0 else CUBE_FACE
-        for (maps, ambients), mirrored, first, count in batches:
-            variant = (kind, maps, ambients, self._additive, mirrored >= 0)
+        for batch in batches:
+            variant = (kind, *batch.slots, self._additive, batch.mirrored >= 0, batch.catcher >= 0)
             program, vertex_array = self._variant(variant)
             self._panorama.bind(program)
             if variant not in self._prepared:
@@ -212,11 +193,13 @@ class CompositeStage:
                 set_uniforms(program, self._frame_uniforms)
             if drawn is not None:
                 _bind_view(program, drawn)
-            if self._floor is not None and mirrored >= 0:
-                _bind_floor(program, self._floor, mirrored, self._pictures[mirrored])
-            vertex_array.render(moderngl.POINTS, vertices=count, first=first)
+            if self._floor is not None and batch.mirrored >= 0:
+                _bind_floor(program, self._floor, batch.mirrored, self._pictures[batch.mirrored])
+            if self._catchers is not None and batch.catcher >= 0:
+                _bind_catchers(program, self._catchers.views[batch.catcher], self._ratios[batch.catcher])
+            vertex_array.render(moderngl.POINTS, vertices=batch.points, first=batch.first)
 
-    def _draw_coverage(self, plan: _Plan, drawn: list[Drawn]) -> None:
+    def _draw_coverage(self, plan: TilePlan, drawn: list[Drawn]) -> None:
         """What the views' objects cover, unless that is known."""
         views = [one.view for one in drawn]
         if len(views) == len(self._covered) and all(a is b for a, b in zip(views, self._covered, strict=True)):
@@ -307,50 +290,13 @@ def _bind_floor(program: moderngl.Program, floor: SpecularFloor, index: int, pic
         "floor_specular": floor.specular, "floor_is_rough": int(floor.rough_radiance is not None)})
 
 
-def _make_plan(views: list[View], maps: list[Touched], ambient: list[Touched], mirrored: tuple[View, ...], masks: list[TileMask],
-               sizes: tuple[int, int, int]) -> _Plan:
-    tiles = np.argwhere(np.logical_or.reduce(masks)) if masks else np.zeros((0, 2), dtype=np.intp)
-    map_lists, ambient_lists = _reached(tiles, maps, SLOTS[-1][0]), _reached(tiles, ambient, SLOTS[-1][1])
-    rows = np.concatenate([tiles[:, ::-1], np.arange(len(tiles))[:, None], map_lists, ambient_lists,
-                           np.full((len(tiles), 1), -1)], axis=1).astype("i4")
-    kinds = _slots(map_lists, ambient_lists)
-    mirrors = np.full(len(tiles), -1)
-    for index, view in enumerate(mirrored):
-        mirrors[view.tiles[tiles[:, 0], tiles[:, 1]]] = index
-    in_views = [view.tiles[tiles[:, 0], tiles[:, 1]] for view in views]
-    no_view = ~np.logical_or.reduce(in_views) if in_views else np.ones(len(tiles), dtype=bool)
-    points: list[NDArray[np.int32]] = [np.zeros((0, POINT_INTS), dtype="i4")]
-    batches: list[list[Batch]] = []
-    view_points: list[tuple[int, int]] = []
-    first = covered = 0
-    for members in (*in_views, no_view):
-        batches.append([])
-        rows[members, -1] = covered + np.arange(members.sum())      # by tile alone: it stays as other shadows come and go
-        if members is not no_view and members.any():
-            view_points.append((first, int(members.sum())))
-        for kind, mirror in np.unique(np.stack([kinds, mirrors], axis=1)[members], axis=0):
-            points.append(rows[members & (kinds == kind) & (mirrors == mirror)])
-            batches[-1].append((SLOTS[kind], int(mirror), first, len(points[-1])))
-            first += len(points[-1])
-        covered += int(members.sum()) if members is not no_view else 0
-    return _Plan(tiles, np.concatenate(points), batches, view_points, covered, masks, sizes)
-
-
-def _reached(tiles: NDArray[np.intp], touched: list[Touched], most: int) -> NDArray[np.intp]:
-    """(tiles, most) indices of the shadow maps that reach each tile, in their order, then -1."""
-    if not touched:
-        return np.full((len(tiles), most), -1, dtype=np.intp)
-    reached = np.stack([t.tiles[tiles[:, 0], tiles[:, 1]] for t in touched], axis=1)
-    order = np.argsort(~reached, axis=1, kind="stable")[:, :most]
-    lists = np.where(np.take_along_axis(reached, order, axis=1), order, -1)
-    return np.pad(lists, ((0, 0), (0, most - lists.shape[1])), constant_values=-1)
-
-
-def _slots(map_lists: NDArray[np.intp], ambient_lists: NDArray[np.intp]) -> NDArray[np.intp]:
-    """The first of SLOTS that holds each row's entries."""
-    maps, ambients = ((lists >= 0).sum(axis=1)[:, None] for lists in (map_lists, ambient_lists))
-    most_maps, most_ambients = np.transpose(SLOTS)
-    return np.asarray(np.argmax((maps <= most_maps) & (ambients <= most_ambients), axis=1))
+def _bind_catchers(program: moderngl.Program, view: View, ratio: moderngl.Texture) -> None:
+    ratio.use(FIRST_UNIT + 6)
+    left, right, bottom, top = view.bounds
+    set_uniforms(program, {
+        "catcher_texture": FIRST_UNIT + 6, "catcher_from_world": view.rotation.T,
+        "catcher_bounds": (left, bottom, 1 / (right - left), 1 / (top - bottom)),
+        "catcher_scale": (view.size[0] / ratio.width, view.size[1] / ratio.height)})
 
 
 def _scatter(plane: NDArray[np.generic], blocks: NDArray[np.generic], tiles: NDArray[np.intp]) -> None:

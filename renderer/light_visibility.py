@@ -60,6 +60,7 @@ class LightVisibilityStage:
         self._depth = gl.depth_texture((SIZE, SIZE))
         self._depth.compare_func = ""
         self._depth.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        self._depth.repeat_x = self._depth.repeat_y = False
         self._framebuffer = gl.framebuffer([], self._depth)
         self._programs = [context.program("full_screen.vert.glsl", "light_visibility.frag.glsl", {"FINE": fine})
                           for fine in (0, 1)]
@@ -105,8 +106,11 @@ class LightVisibilityStage:
              casters: list[Receiver]) -> None:
         rotation = looking_along(-light.direction)
         low, high = _box(rotation, seen)
-        nearest = _box(rotation, casters)[0][2]
-        low[2] = min(low[2], nearest)
+        nearest, farthest = _box(rotation, casters)
+        # nothing is hidden beside the casters, whose margin is empty
+        low[:2], high[:2] = np.maximum(low[:2], nearest[:2]), np.minimum(high[:2], farthest[:2])
+        high[:2] = np.maximum(high[:2], low[:2] + 1e-6)
+        low[2] = min(low[2], nearest[2])
         clip_from_world = np.eye(4)
         clip_from_world[:3, :3] = rotation * (2 / (high - low))[:, None]
         clip_from_world[:3, 3] = -(high + low) / (high - low)

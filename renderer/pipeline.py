@@ -10,51 +10,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.color import srgb_from_linear
-from renderer.composite import CompositeStage, DrawView, GroundLight, Touched
+from renderer.composite import CompositeStage, DrawView
 from renderer.frame import Frame, RadianceFrame, RgbFrame, YuvFrame, check_size
 from renderer.gl import Context, release_all
-from renderer.gpu_mesh import GpuMesh, PlacedMesh
-from renderer.inverse_tone_mapping import WEIGHTS, linear_from_radiance
-from renderer.irradiance import disc_cosine, irradiance
-from renderer.light_detection import MAX_LIGHTS, Light
+from renderer.gpu_mesh import GpuMesh
+from renderer.inverse_tone_mapping import linear_from_radiance
 from renderer.light_reading import FrameAccess, FrameLight, LightReader
 from renderer.light_refinement import MomentStage
-from renderer.light_visibility import Receiver
 from renderer.mesh import Mesh
 from renderer.openness import OpennessStage
 from renderer.panorama import PanoramaTextures
-from renderer.placement import TILE, TileMask, View, touched_tiles
+from renderer.placement import TILE, View
 from renderer.placing import Placement, Placer
 from renderer.radiance_map import RadianceMapStage, packed_pixels
 from renderer.ring_sampling import RingSource
 from renderer.scene import Lighting, Scene
-from renderer.shading import MIRROR_BELOW, Illumination, ShadingStage, is_sharp, may_mirror
-from renderer.shadow_mapping import screen_space_occlusion
-from renderer.shadows import ShadowMap, ShadowStage
-from renderer.specular import MIN_ROUGHNESS, prefilter_all, quantized_roughness
+from renderer.scene_light import SceneLightStage
+from renderer.shading import ShadingStage, may_mirror
+from renderer.shadows import ShadowStage
 from renderer.specular_floor import FloorBlurStage, SpecularFloor, lobe_spread
 from renderer.surfaces import SurfaceStage
-from renderer.surroundings import Surroundings
 from renderer.threshold_detection import HEIGHT as THRESHOLD_HEIGHT
 from renderer.threshold_detection import WIDTH as THRESHOLD_WIDTH
 from renderer.timings import Timings
-
-Array = NDArray[np.float64]
-UP = np.array([0.0, 1.0, 0.0])
-MIN_CAMERA_DISTANCE_M = 0.05
-MIN_GROUND_SHARE = 0.02    # of the ground's irradiance; weaker lights cast no visible shadow
-
-
-@dataclass(frozen=True)
-class _Lit:
-    """A placement under a light: what the ground receives, and the tiles of every shadow."""
-
-    light: FrameLight
-    lighting: Lighting
-    placement: Placement
-    ground: GroundLight | None
-    maps: list[Touched]
-    ambient: list[Touched]
 
 
 @dataclass(frozen=True)
@@ -94,16 +72,13 @@ class Pipeline:
         self._openness = OpennessStage(context, self._surfaces)
         self._placer = Placer(self._upload, size, assets, mesh_root)
         self._reader = LightReader()
-        self._surroundings = Surroundings()
+        self._scene_light = SceneLightStage(context, size, self._surfaces, self._shading, self._shadows)
         is_reduced = self._radiance.size[0] < size[0] or self._radiance.size[1] < size[1]
         self._moments = MomentStage(context, self._panorama, self._radiance.size) if is_reduced else None
         self._access = FrameAccess(self._upper_half, None if self._moments is None else self._moments.run)
         self._upper: RadianceMapStage | None = None     # made when it is first wanted
         self._rings: RingSource | None = None
         self._floor_blur: FloorBlurStage | None = None
-        self._lit: _Lit | None = None
-        self._illuminations = 0
-        self._shadow_tiles: dict[tuple[ShadowMap, float], TileMask] = {}
 
     def _upload(self, mesh: Mesh) -> GpuMesh:
         uploaded = GpuMesh(self._context, self._surfaces.programs, mesh)
@@ -146,11 +121,11 @@ class Pipeline:
                 self._fill_rings(light)
         if not placement.objects:
             return Rendered(frame if output is None else _copied(frame, output), light, 0.0, timings, placement.errors)
-        lit = self._light_scene(scene, light, placement, timings)
+        lit = self._scene_light.run(scene, light, placement, self._rings_for(scene), timings)
         with timings.stage("objects_and_composite"):
             draw_view = self._drawing(placement)
             touched = self._composite.run(placement.views, draw_view, lit.maps, lit.ambient, lit.ground, self._shadows,
-                                          self._floor(scene, placement))
+                                          self._floor(scene, placement), lit.catchers)
             self._context.start()   # while the planes are being copied
         with timings.stage("write"):
             composited, radiance = self._write(frame, touched, output)
@@ -169,22 +144,29 @@ class Pipeline:
         last = self._placer.last
         if last is not None and last[1].objects:
             scene, placement = last
-            self._light_scene(scene, light, placement, timings)
+            lit = self._scene_light.run(scene, light, placement, self._rings_for(scene), timings)
             with timings.stage("objects_and_composite"):
+                if lit.catchers is not None:
+                    for view in lit.catchers.views:
+                        lit.catchers.picture(view)
                 self._shading.draw_still(_still_views(placement), list(placement.objects.values()))
                 self._context.gl.finish()
         return timings
 
     def compile_variants(self) -> None:
         """Have the driver compile every program that usual scenes need, now. After a frame with a light and an object."""
-        if self._lit is not None:
-            self._shading.compile_variants(self._lit.placement.views[0], list(self._lit.placement.objects.values()))
+        lit = self._scene_light.last
+        if lit is not None:
+            self._shading.compile_variants(lit.placement.views[0], list(lit.placement.objects.values()))
             self._composite.compile_variants()
 
     def _light(self, timings: Timings, moment: float | None, lighting: Lighting) -> FrameLight:
         with timings.stage("radiance_map"):
             radiance_map = self._radiance.run()
         return self._reader.read(radiance_map, self._access, lighting, moment, timings)
+
+    def _rings_for(self, scene: Scene) -> moderngl.Texture | None:
+        return None if self._rings is None or scene.lighting.method("glossy") != "rings36" else self._rings.texture
 
     def _fill_rings(self, light: FrameLight) -> None:
         if self._rings is None:
@@ -198,109 +180,6 @@ class Pipeline:
         if self._upper is None:
             self._upper = RadianceMapStage(self._context, self._panorama, (THRESHOLD_WIDTH, THRESHOLD_HEIGHT))
         return self._upper.run_rows(THRESHOLD_HEIGHT // 2)
-
-    def _light_scene(self, scene: Scene, light: FrameLight, placement: Placement, timings: Timings) -> _Lit:
-        """What follows from light and placement together; kept until one of them is another."""
-        if self._lit is not None and self._lit.light is light and self._lit.placement is placement and (
-                self._lit.lighting == scene.lighting):
-            return self._lit
-        with timings.stage("glossy"):
-            self._surfaces.keep([*placement.views, *placement.mirrored])
-            rings = self._rings.texture if self._rings is not None and scene.lighting.method("glossy") == "rings36" else None
-            if self._only_poses_differ(scene, light, placement):
-                self._shading.set_receivers(*self._receivers(scene, placement))
-            else:
-                self._shading.set_illumination(self._illumination(scene, light, placement, rings))
-        with timings.stage("shadows"):
-            ground = self._ground_light(scene, light)
-            maps, ambient = self._cast(scene, placement.objects, light, ground) if ground else ([], [])
-            if rings is None:
-                self._reflect_ground(placement, ground, maps, ambient)
-        self._lit = _Lit(light, scene.lighting, placement, ground, maps, ambient)
-        return self._lit
-
-    def _only_poses_differ(self, scene: Scene, light: FrameLight, placement: Placement) -> bool:
-        """From what the last illumination was made for."""
-        return (self._lit is not None and self._lit.light is light and self._lit.lighting == scene.lighting
-                and placement.is_later_than(self._lit.placement))
-
-    def _illumination(self, scene: Scene, light: FrameLight, placement: Placement, rings: moderngl.Texture | None) -> Illumination:
-        found = set().union(*(item.roughnesses for item in placement.objects.values()))
-        wanted = {quantized_roughness(value) for value in found if value >= MIRROR_BELOW and rings is None}
-        if rings is None and len(placement.objects) > 1 and any(map(may_mirror, placement.objects.values())):
-            wanted.add(MIN_ROUGHNESS)       # for what one mirror sees in another
-        lights = tuple(item for item in _rendered(light) if not item.is_wide)
-        ground_y = -scene.camera_height if scene.ground.catcher else None
-        # the papers' map knows nothing near
-        near = () if scene.lighting.method("diffuse").startswith("map") else self._surroundings.fits(
-            placement.objects, ground_y, light.soft, light.irradiance, lights)
-        receivers, occluders = self._receivers(scene, placement)
-        self._illuminations += 1
-        lobes = prefilter_all(light.soft, wanted)
-        return Illumination(light.irradiance, lights, lobes, ground_y, rings, near, receivers, occluders,
-                            self._illuminations)
-
-    def _receivers(self, scene: Scene, placement: Placement) -> tuple[tuple[Receiver, ...], tuple[Receiver, ...]]:
-        """The objects, and the real things that are told of."""
-        casting = {item.id for item in scene.objects if item.casts_shadow}
-        bodies = self._surroundings.bodies(placement.objects)
-        return (tuple(Receiver(placement.objects[name], body, name in casting) for name, body in bodies.items()),
-                tuple(Receiver(item, self._surroundings.body(item), True) for item in placement.occluders))
-
-    def _ground_light(self, scene: Scene, light: FrameLight) -> GroundLight | None:
-        if not scene.ground.catcher:
-            return None
-        lights = [item.irradiance * float(disc_cosine(item.direction @ UP, item.angular_radius)) for item in _rendered(light)]
-        ambient = np.maximum(irradiance(light.coefficients, UP), 0.0)
-        return GroundLight(-scene.camera_height, ambient + sum(lights, np.zeros(3)), lights,
-                           additive=scene.lighting.method("composite") == "additive")
-
-    def _cast(self, scene: Scene, placed: dict[str, PlacedMesh], light: FrameLight,
-              ground: GroundLight) -> tuple[list[Touched], list[Touched]]:
-        filtered = scene.lighting.method("shadows") == "pcf"
-        casters = {item.id: placed[item.id] for item in scene.objects if item.id in placed and item.casts_shadow}
-        gate = MIN_GROUND_SHARE * float(ground.total @ WEIGHTS)
-        self._shadows.begin(set(casters), {item.id for item in _rendered(light)})
-        maps: list[ShadowMap | None] = []
-        ambient: list[ShadowMap | None] = []
-        for key, caster in casters.items():
-            for index, item in enumerate(_rendered(light)):
-                if ground.lights[index] @ WEIGHTS > gate:
-                    maps.append(self._shadows.light_shadow(key, caster, item, index, ground.y, filtered=filtered))
-            ambient.append(self._shadows.ambient_shadow(key, caster, ground.y))
-        by_object = {key: shadow for key, shadow in zip(casters, ambient, strict=True) if shadow is not None}
-        if filtered:
-            self._shadows.weigh_ambient(list(by_object.values()), [screen_space_occlusion(light.coefficients)] * len(by_object))
-        else:
-            self._weigh_ambient(by_object, light, has_near=bool(self._shading.near))
-
-        touched = self._touched([shadow for shadow in (*maps, *ambient) if shadow is not None], ground.y)
-        return [item for item in touched if item.shadow.light >= 0], [item for item in touched if item.shadow.light < 0]
-
-    def _weigh_ambient(self, shadows: dict[str, ShadowMap], light: FrameLight, *, has_near: bool) -> None:
-        hidden = [light.coefficients[:9] for _ in shadows]
-        for index, key in enumerate(shadows):
-            given_back = self._surroundings.bounced(key) if has_near else None
-            if given_back is not None:
-                hidden[index] = hidden[index] - given_back
-        self._shadows.weigh_ambient(list(shadows.values()), hidden)
-
-    def _reflect_ground(self, placement: Placement, ground: GroundLight | None, maps: list[Touched],
-                        ambient: list[Touched]) -> None:
-        """Have the ground's shadows ready for those objects that are smooth enough to show them."""
-        objects = placement.objects.values()
-        if ground is not None and any(item.is_detailed or any(map(is_sharp, item.surfaces)) for item in objects):
-            self._shading.ground_missing.draw([item.shadow for item in maps], [item.shadow for item in ambient], ground.lights,
-                                              ground.total, self._shadows)
-
-    def _touched(self, shadows: list[ShadowMap], ground_y: float) -> list[Touched]:
-        """The tiles of each map; those of a map that lies where it lay in the last frame are kept."""
-        tiles = {}
-        for shadow in shadows:
-            kept = self._shadow_tiles.get((shadow, ground_y))
-            tiles[(shadow, ground_y)] = touched_tiles(shadow.outline(ground_y), self._size) if kept is None else kept
-        self._shadow_tiles = tiles
-        return [Touched(shadow, tiles[(shadow, ground_y)]) for shadow in shadows]
 
     def _drawing(self, placement: Placement) -> DrawView:
         objects = list(placement.objects.values())
@@ -336,7 +215,7 @@ class Pipeline:
     def reset(self) -> None:
         """Forget the lights of earlier frames."""
         self._reader.reset()
-        for stage in (self._surroundings, self._shadows, self._shading):
+        for stage in (self._scene_light, self._shadows, self._shading):
             stage.reset()
 
     def release(self) -> None:
@@ -344,7 +223,7 @@ class Pipeline:
         self._placer.release()
         self._openness.release()
         release_all(self._composite, self._shadows, self._shading, self._surfaces, self._upper, self._rings, self._moments,
-                    self._floor_blur, self._radiance, self._panorama)
+                    self._floor_blur, self._scene_light, self._radiance, self._panorama)
 
 
 def _still_views(placement: Placement) -> list[View]:
@@ -360,8 +239,3 @@ def _copied(frame: Frame, output: YuvFrame | None) -> YuvFrame:
     for target, source in ((output.y, frame.y), (output.u, frame.u), (output.v, frame.v)):
         np.copyto(target, source)
     return output
-
-
-def _rendered(light: FrameLight) -> tuple[Light, ...]:
-    """The strongest lights; the methods of the papers set no limit to their number."""
-    return light.detection.lights[:MAX_LIGHTS]

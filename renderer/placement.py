@@ -122,7 +122,7 @@ def plan_views(outlines: list[Array], tiles: list[TileMask], frame_size: tuple[i
         distance = np.linalg.norm(points, axis=1)
         depth_range = (max(NEAR_M, 0.3 * float(distance.min())), 2.0 * float(distance.max()) + 1.0)
         if float((directions @ axis).min()) >= np.cos(max_half_angle):
-            views.append(_single_view(points, axis, frame_size, depth_range, tuple(group), mask))
+            views.append(single_view(points, axis, frame_size, depth_range, tuple(group), mask))
         else:
             views += [_cube_face(face, frame_size, depth_range, tuple(group), mask) for face in range(6)]
     return views
@@ -166,8 +166,9 @@ def _size(bounds: tuple[float, float, float, float], frame_size: tuple[int, int]
     return (width, height), density
 
 
-def _single_view(points: Array, axis: Array, frame_size: tuple[int, int], depth_range: tuple[float, float],
-                 members: tuple[int, ...], mask: TileMask) -> View:
+def single_view(points: Array, axis: Array, frame_size: tuple[int, int], depth_range: tuple[float, float],
+                members: tuple[int, ...], mask: TileMask) -> View:
+    """A view along `axis` that shows (n, 3) points."""
     rotation = looking_along(axis)
     local = points @ rotation.T
     tangent = local[:, :2] / local[:, 2:3]

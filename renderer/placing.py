@@ -25,13 +25,15 @@ MIN_CAMERA_DISTANCE_M = 0.05
 
 @dataclass(frozen=True)
 class Placement:
-    """The objects that can be drawn, by id; the real things that hide them; the views that show them; what is wrong with others.
+    """The objects that can be drawn, by id; the real things that hide them, and those that receive their shadows; the views that
+    show the objects; what is wrong with others.
 
     `moving` are the ids of objects that an animation moves from frame to frame.
     """
 
     objects: dict[str, PlacedMesh]
     occluders: tuple[PlacedMesh, ...]
+    catchers: tuple[PlacedMesh, ...]
     views: list[View]
     errors: dict[str, str]
     moving: frozenset[str]
@@ -92,8 +94,10 @@ class Placer:
                 if found.pose is not None:
                     moving.add(item.id)
         self._meshes.keep({(item.mesh, item.id) for item in scene.objects if item.animation is not None})
-        occluders = tuple(filter(None, (self._local(item, errors) for item in scene.local_scene)))
-        return self._viewed(Placement(objects, occluders, [], errors, frozenset(moving), next(self._numbers)), scene)
+        local = [(item.role, self._local(item, errors)) for item in scene.local_scene]
+        occluders, catchers = (tuple(placed for role, placed in local if role == wanted and placed is not None)
+                               for wanted in ("occluder", "catcher"))
+        return self._viewed(Placement(objects, occluders, catchers, [], errors, frozenset(moving), next(self._numbers)), scene)
 
     def _moved(self, scene: Scene, before: Placement, moment: float) -> Placement:
         """The same with the poses of another moment."""
@@ -130,11 +134,9 @@ class Placer:
         return replace(placed, pose=pose, pose_number=next(self._poses))
 
     def _local(self, item: LocalSurface, errors: dict[str, str]) -> PlacedMesh | None:
-        if item.role == "catcher":
-            errors[item.id] = f"local surface {item.id!r} is a catcher, expected role 'occluder': catchers are not rendered yet"
-            return None
         try:
-            return PlacedMesh(self._meshes.get(item.mesh), transform(item.position, item.rotation, item.scale), Surface())
+            return PlacedMesh(self._meshes.get(item.mesh), transform(item.position, item.rotation, item.scale),
+                              Surface(double_sided=True))       # a room hides what is outside it
         except GltfError as error:
             errors[item.id] = str(error)
             return None

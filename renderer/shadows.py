@@ -7,6 +7,7 @@ objects hide of the residual depends on geometry alone, so it is kept until an o
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
@@ -21,6 +22,7 @@ from renderer.light_detection import Light
 from renderer.light_discs import STALE_SHARE, disc_directions, hardly_moved
 from renderer.proxy import Points, Triangles
 from renderer.shadow_mapping import ShadowMapping, filter_reach
+from renderer.shapes import Solid
 from renderer.surfaces import SurfaceStage
 
 Array = NDArray[np.float64]
@@ -131,9 +133,10 @@ class ShadowStage:
         self._lights: dict[tuple[str, int], _KeptShadow] = {}
         self._weighed: tuple[list[ShadowMap], bytes] | None = None
         self._redrawn = 0
+        self._real: list[tuple[PlacedMesh, Solid]] = []
         upper = _hemisphere_directions(AMBIENT_SAMPLES)
         set_uniforms(self._ambient_program, {"sample_direction": np.pad(upper, ((0, 128 - AMBIENT_SAMPLES), (0, 0))),
-                                             "sample_count": AMBIENT_SAMPLES, "weight": np.pi / AMBIENT_SAMPLES})
+                                             "sample_count": AMBIENT_SAMPLES})
 
     def light_shadow(self, key: str, placed: PlacedMesh, light: Light, light_index: int, ground_y: float, *,
                      filtered: bool = False) -> ShadowMap | None:
@@ -145,7 +148,7 @@ class ShadowStage:
         map a frame, so that a moving sun does not have all shadows drawn in the same frame. What is drawn anew is drawn coarser
         than at first, and finely again when nothing has moved for a while.
         """
-        place = _place_state(placed, ground_y) + bytes([filtered])
+        place = _place_state([placed, *self._hiding(light)], ground_y) + bytes([filtered])
         kept = self._lights.get((key, light.id))
         if kept is not None and kept.place == place:
             tolerance = STALE_SHARE if self._redrawn == 0 else 1.0
@@ -189,10 +192,10 @@ class ShadowStage:
             return None
         shadow = replace(shadow, rect=rect, texels=texels)
         set_uniforms(self._light_program, {
-            "sample_direction": np.pad(samples, ((0, 128 - len(samples)), (0, 0))), "sample_count": len(samples),
-            "weight": 1.0 / count})
+            "sample_direction": np.pad(samples, ((0, 128 - len(samples)), (0, 0))), "sample_count": len(samples)})
         proxy = FINE_LIGHT if penumbra < (SHARP if is_fine else MOVING_SHARP) * texel else LIGHT
-        self._draw(self._target, self._light_program, proxy, placed, shadow, ground_y, len(samples))
+        self._draw(self._target, self._light_program, proxy, [*self._hiding(light), placed], shadow, ground_y,
+                   (len(samples), 1.0 / count))
         return shadow
 
     def _draw_filtered_shadow(self, placed: PlacedMesh, light: Light, shadow: ShadowMap, ground_y: float) -> ShadowMap | None:
@@ -210,7 +213,7 @@ class ShadowStage:
 
     def ambient_shadow(self, key: str, placed: PlacedMesh, ground_y: float) -> ShadowMap | None:
         """What one object hides of the residual; drawn only when `key`'s geometry has changed."""
-        state = _place_state(placed, ground_y)
+        state = _place_state([placed, *self._hiding(None)], ground_y)
         kept = self._ambient.get(key)
         if kept is not None and kept[0] == state:
             return kept[1]
@@ -226,7 +229,8 @@ class ShadowStage:
                                   float(high[2] + reach)), -1)
         self._ambient[key] = (state, shadow)
         self._weighed = None
-        self._draw(self._ambient_target, self._ambient_program, AMBIENT, placed, shadow, ground_y, AMBIENT_SAMPLES)
+        self._draw(self._ambient_target, self._ambient_program, AMBIENT, [*self._hiding(None), placed], shadow, ground_y,
+                   (AMBIENT_SAMPLES, np.pi / AMBIENT_SAMPLES))
         return shadow
 
     def _texels(self, rect: tuple[float, float, float, float], ground_y: float) -> int:
@@ -257,15 +261,26 @@ class ShadowStage:
         """Forget the lights: the next ones have nothing to do with them."""
         self._lights.clear()
 
-    def begin(self, keys: set[str], lights: set[int]) -> None:
-        """Begin a frame. Free the cells of objects and lights that are gone: all but those of `keys` and `lights` (ids)."""
+    def begin(self, keys: set[str], lights: set[int], real: Sequence[tuple[PlacedMesh, Solid]] = ()) -> None:
+        """Begin a frame. Free the cells of objects and lights that are gone: all but those of `keys` and `lights` (ids). `real`:
+        things, also as solids, whose own shadows are in the frame: what they hide already is hidden by no object."""
+        self._real = list(real)
         self._lights = {name: kept for name, kept in self._lights.items() if name[0] in keys and name[1] in lights}
         self._redrawn = 0
         for key in set(self._ambient) - keys:
             del self._ambient[key]
 
-    def _draw(self, target: moderngl.Framebuffer, program: moderngl.Program, which: int,
-              placed: PlacedMesh, shadow: ShadowMap, ground_y: float, samples: int) -> None:
+    def _hiding(self, light: Light | None) -> list[PlacedMesh]:
+        """The real things that hide a light, or of the residual (None) something. One that the camera sees a light in front of is
+        farther away than the light; one around the camera is what the residual comes from."""
+        camera = np.zeros((1, 3))
+        if light is None:
+            return [placed for placed, solid in self._real if np.abs(solid.unit_from_world[:3, 3]).max() > 0.5]
+        return [placed for placed, solid in self._real if not solid.hides(camera, light.direction[None]).any()]
+
+    def _draw(self, target: moderngl.Framebuffer, program: moderngl.Program, which: int, placed: list[PlacedMesh],
+              shadow: ShadowMap, ground_y: float, samples: tuple[int, float]) -> None:
+        """Count the samples, `samples` of that weight, that the last mesh hides and those before it do not."""
         gl = self._gl
         viewport = self._viewport(target, shadow)
         target.use()
@@ -273,11 +288,15 @@ class ShadowStage:
         target.clear(0.0, 0.0, 0.0, 0.0, depth=1.0, viewport=viewport)
         gl.enable_only(moderngl.DEPTH_TEST | moderngl.BLEND)
         gl.enable_direct(GL_CLIP_DISTANCE0)
-        gl.depth_func = "<"
+        gl.depth_func = "<"      # a sample has one depth, and what is drawn first takes it
         gl.blend_func = moderngl.ONE, moderngl.ONE
-        set_uniforms(program, {"world_from_model": placed.world_from_model.T, "ground_rect": shadow.scaled_rect(),
-                               "ground_y": ground_y})
-        self._proxy(placed)[which].render(instances=samples)
+        set_uniforms(program, {"ground_rect": shadow.scaled_rect(), "ground_y": ground_y})
+        # sample by sample where things stand in each other's way, for a later sample is nearer than all before it
+        for first, count in [(0, samples[0])] if len(placed) == 1 else [(index, 1) for index in range(samples[0])]:
+            for item in placed:
+                set_uniforms(program, {"world_from_model": item.world_from_model.T, "first_sample": first,
+                                       "weight": samples[1] if item is placed[-1] else 0.0})
+                self._proxy(item)[which].render(instances=count)
         gl.disable_direct(GL_CLIP_DISTANCE0)
         gl.enable_only(moderngl.NOTHING)
 
@@ -309,8 +328,8 @@ class ShadowStage:
                     self._ambient_program, self._mapping)
 
 
-def _place_state(placed: PlacedMesh, ground_y: float) -> bytes:
-    return placed.state() + np.float64(ground_y).tobytes()
+def _place_state(placed: list[PlacedMesh], ground_y: float) -> bytes:
+    return b"".join(item.state() for item in placed) + np.float64(ground_y).tobytes()
 
 
 def _ground_rect(points: Array, directions: Array, ground_y: float) -> tuple[float, float, float, float]:

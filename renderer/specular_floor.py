@@ -23,11 +23,11 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.equirectangular import direction_from_uv
 from renderer.gl import Context, release_all, set_uniforms
 from renderer.placement import NEAR_M, TILE, View, plan_views, touched_tiles
 from renderer.scene import Ground
 from renderer.surfaces import ViewTarget
+from renderer.tile_views import cube_face_of_tiles
 
 Array = NDArray[np.float64]
 UP = np.array([0.0, 1.0, 0.0])
@@ -66,16 +66,10 @@ def mirrored_views(outlines: list[Array], ground: Ground, ground_y: float, frame
 def _own_tiles(view: View, frame_size: tuple[int, int], spread: float) -> View:
     """A cube face as a view for those of its tiles whose middle it shows, wide enough to show all of them, and what blurs into
     them: one view a tile is all that the composite takes."""
-    rows, columns = view.tiles.shape
-    width, height = frame_size
-    uv = np.stack(np.meshgrid((np.arange(columns) + 0.5) * TILE / width, (np.arange(rows) + 0.5) * TILE / height), axis=-1)
-    middle = direction_from_uv(uv)
-    axis = np.abs(middle).argmax(axis=-1)
-    face = 2 * axis + (np.take_along_axis(middle, axis[..., None], axis=-1)[..., 0] < 0)
-    half = float(np.tan(np.pi / 4 + 1.5 * np.pi * TILE / height + REACH * spread))
+    half = float(np.tan(np.pi / 4 + 1.5 * np.pi * TILE / frame_size[1] + REACH * spread))
     size = tuple(int(np.ceil(side * half / view.bounds[1])) for side in view.size)
-    return replace(view, bounds=(-half, half, -half, half), size=(size[0], size[1]), tiles=view.tiles & (face == view.cube_axis),
-                   cube_axis=-1)
+    return replace(view, bounds=(-half, half, -half, half), size=(size[0], size[1]), cube_axis=-1,
+                   tiles=view.tiles & (cube_face_of_tiles(frame_size) == view.cube_axis))
 
 
 def _grown(points: Array, ground_y: float, spread: float) -> Array:

@@ -103,9 +103,10 @@ class SurfaceStage:
         for program in self.programs.values():
             set_uniforms(program, {"clip_below_y": below})
 
-    def drawn(self, view: View, members: list[PlacedMesh], occluders: tuple[PlacedMesh, ...]) -> tuple[ViewTarget, bool]:
+    def drawn(self, view: View, members: list[PlacedMesh], occluders: tuple[PlacedMesh, ...] = (), *,
+              outlined: bool = True) -> tuple[ViewTarget, bool]:
         """The view's target, its surfaces in it, and whether they had to be drawn anew. `occluders` are real things that hide
-        them, themselves unseen. A mirrored view has no silhouette."""
+        them, themselves unseen. A mirrored view has no silhouette, nor has one that is not to be `outlined`."""
         detailed = any(item.is_detailed for item in members)
         target = self._target(view, detailed)
         if target.view is view:
@@ -120,12 +121,14 @@ class SurfaceStage:
             target.view = view
             return target, True
         self._draw(target.framebuffer, sampled, f"surface{suffix}", view.clip_from_world(), members, occluders)
+        target.view = view
+        if not outlined:
+            return target, True
         outline = target.silhouette.projection = silhouette_view(view)
         framebuffer = target.silhouette.reserve(outline.size, with_depth=bool(occluders))
         self._draw(framebuffer, outline.size, f"mask{suffix}", outline.clip_from_world, members, occluders)
         assert target.silhouette.texture is not None
         target.silhouette.texture.build_mipmaps(0, 1)
-        target.view = view
         return target, True
 
     def draw_depth(self, clip_from_world: NDArray[np.float64], members: list[PlacedMesh]) -> None:

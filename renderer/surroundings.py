@@ -52,8 +52,7 @@ class Surroundings:
         self._kept = {name: kept[name] for name in sorted(kept, key=lambda name: name == waiting)}
         for name in self._due(kept, waiting):
             self._fits[name] = fit = kept[name][1].fit(radiance, irradiance, lights)
-            if ground_y is not None:
-                self._bounced[name] = bounced(bodies[name], fit, irradiance, lights, ground_y)
+            self._bounced[name] = bounced(bodies[name], fit, irradiance, lights, -np.inf if ground_y is None else ground_y)
         return tuple(replace(self._fits[name], centre=bodies[name].solid.centre) for name in objects)
 
     def _due(self, kept: dict[str, tuple[bytes, NearField]], changed: str | None) -> list[str]:

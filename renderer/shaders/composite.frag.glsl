@@ -48,6 +48,12 @@ bool inside(vec2 uv) { return all(greaterThanEqual(uv, vec2(0.0))) && all(lessTh
 #if FLOOR
 #include "specular_floor.glsl"
 #endif
+#if CATCHERS
+uniform sampler2D catcher_texture;  // of real surfaces: the ratio of their light times the share of a pixel that shows them, and that
+uniform mat3 catcher_from_world;    // rows: right, up, forward
+uniform vec4 catcher_bounds;        // left, bottom, 1 / width, 1 / height on the tangent plane
+uniform vec2 catcher_scale;         // the part of the texture that the view fills
+#endif
 
 vec2 ground_point(vec3 direction) { return direction.xz * (ground_y / min(direction.y, -1e-3)); }
 
@@ -80,6 +86,18 @@ vec3 missing_light(vec3 direction) {
     return missing;
 }
 
+// The ground's ratio, where no real surface hides the ground.
+vec3 with_catchers(vec3 direction, vec3 ratio) {
+#if CATCHERS
+    vec3 d = catcher_from_world * direction;
+    vec2 uv = (d.xy / max(d.z, 1e-6) - catcher_bounds.xy) * catcher_bounds.zw;
+    vec4 found = textureLod(catcher_texture, clamp(uv, 0.0, 1.0) * catcher_scale, 0.0);
+    return ratio * (1.0 - found.a) + found.rgb;
+#else
+    return ratio;
+#endif
+}
+
 vec4 object_radiance(vec3 direction, float covered) {
 #if VIEW
     vec3 d = view_from_world * direction;
@@ -106,7 +124,8 @@ struct Layers { vec4 object; vec3 ratio; Floor ground; };
 Layers layers_at(vec3 direction, vec3 missing_residual, float covered) {
     vec3 missing = missing_residual + missing_light(direction);
     vec3 ratio = clamp(1.0 - missing / max(ground_irradiance, vec3(1e-6)), 0.0, MAX_RATIO);
-    return Layers(object_radiance(direction, covered), mix(ratio, vec3(1.0), lessThan(ground_irradiance, vec3(1e-6))),
+    ratio = mix(ratio, vec3(1.0), lessThan(ground_irradiance, vec3(1e-6)));
+    return Layers(object_radiance(direction, covered), with_catchers(direction, ratio),
 #if FLOOR
         floor_at(direction));
 #else

@@ -36,7 +36,7 @@ vec3 mapped_normal(vec3 normal) {
 #endif
 
 void main() {
-    vec3 normal = normalize(world_normal);
+    vec3 normal = normalize(gl_FrontFacing ? world_normal : -world_normal);
     float occluded = 1.0 - open_share;
 #if DETAILED
     vec4 color = material_color(BIAS);
@@ -48,7 +48,6 @@ void main() {
         color_metallic.a *= t.b;
         emissive_roughness.a *= t.g;
     }
-    if (!gl_FrontFacing) normal = -normal;
     if (has(NORMAL)) normal = mapped_normal(normal);
     // what is in the way gives back what it gets; a texture says what is left in the end
     occluded *= (1.0 - dot(color.rgb, vec3(0.3, 0.59, 0.11))) / (1.0 - dot(color.rgb, vec3(0.3, 0.59, 0.11)) * occluded);

@@ -164,8 +164,8 @@ def test_the_shader_evaluates_the_same_functions(context: Context, monkeypatch: 
     pictures = []
     for given in (one, coefficients):
         fit = Fit(centre, 1.3, given)
-        monkeypatch.setattr(pipeline._surroundings, "fits", lambda *_, fit=fit: (fit,))
-        pipeline._lit = None
+        monkeypatch.setattr(pipeline._scene_light._surroundings, "fits", lambda *_, fit=fit: (fit,))
+        pipeline._scene_light._last = None
         frame = pipeline.render(flat_frame(), wanted).frame
         assert isinstance(frame, RadianceFrame)
         pictures.append(frame.rgb)

@@ -1,0 +1,221 @@
+"""Shadows on real surfaces of any shape: those of the scene's `local_scene` with role `catcher`.
+
+The surfaces are drawn into perspective views of the tiles that a shadow may reach, and each pixel gets the ratio of its irradiance
+with and without the objects, as the ground does: lights by their visibility past the objects (`light_visibility.py`), the residual
+by transfer vectors (Sloan 2002) of the objects as solids, less what these give back (`bounce.py`). Views, visibility and transfer
+are kept for as long as nothing moves. Things with role `occluder` stand in these views too: where one is in front, the shadow
+behind it, the ground's as well, is not seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.equirectangular import pixel_directions
+from renderer.gl import Context, release_all, set_uniforms
+from renderer.irradiance import irradiance
+from renderer.light_detection import MAX_LIGHTS, Light
+from renderer.light_discs import hardly_moved
+from renderer.light_visibility import STALE, LightVisibilityStage, Receiver
+from renderer.placement import TileMask, View
+from renderer.shadow_reach import AMBIENT_REACH, ambient_tiles, light_tiles, surface_points, surface_tiles
+from renderer.shapes import KINDS
+from renderer.surfaces import FIRST_UNIT, SurfaceStage, ViewTarget
+from renderer.tile_views import views_of_tiles
+
+Array = NDArray[np.floating]
+MAX_SOLIDS = 12            # as in solids.glsl
+GIVING_BACK = 3            # of them; as in catcher.frag.glsl
+NORMALS = (16, 32)         # rows and columns of the irradiance map
+
+
+@dataclass(frozen=True)
+class CatcherLight:
+    """What lights the real surfaces: (25, 3) coefficients of the radiance without the lights; the lights; of each object, by its
+    index, (9, 3) coefficients of the radiance that it gives back, or None. `reference`: None for ratios; else the picture is
+    1 - what is missing / this irradiance."""
+
+    coefficients: Array
+    lights: tuple[Light, ...]
+    given_back: tuple[Array | None, ...]
+    reference: Array | None = None
+
+
+@dataclass(frozen=True)
+class CatcherLayer:
+    """What the composite needs: the views, and what draws one (ratio times coverage, coverage)."""
+
+    views: tuple[View, ...]
+    picture: Callable[[View], moderngl.Texture]
+
+
+@dataclass(frozen=True)
+class _Reach:
+    """The views of everything that a shadow may reach, and what they were found for."""
+
+    state: tuple[bytes, ...]
+    lights: tuple[Light, ...]
+    ground: TileMask
+    views: tuple[View, ...]
+
+
+@dataclass
+class _Picture:
+    """What belongs to one view's target."""
+
+    transfer: list[moderngl.Texture]
+    transfer_target: moderngl.Framebuffer
+    ratio: moderngl.Texture
+    ratio_target: moderngl.Framebuffer
+    moved: tuple[bytes, ...] = ()               # what the transfer was drawn for
+    shown: list[object] = field(default_factory=list)      # and the ratio
+
+    def release(self) -> None:
+        release_all(self.transfer_target, *self.transfer, self.ratio_target, self.ratio)
+
+
+class CatcherStage:
+    """Owns the programs and the pictures of all views of real surfaces."""
+
+    def __init__(self, context: Context, frame_size: tuple[int, int], surfaces: SurfaceStage) -> None:
+        self._context, self._frame_size, self._surfaces = context, frame_size, surfaces
+        self._programs = {name: context.program("full_screen.vert.glsl", f"{name}.frag.glsl")
+                          for name in ("catcher_transfer", "catcher")}
+        self._triangles = {name: context.gl.vertex_array(program, []) for name, program in self._programs.items()}
+        self._visibility = LightVisibilityStage(context, surfaces)
+        self._ambient = context.texture(NORMALS[::-1], 4, "f4", wrap_x=True)
+        self._normals = pixel_directions(*NORMALS)
+        self._pictures: dict[ViewTarget, _Picture] = {}
+        self._reach: _Reach | None = None
+        self._things: tuple[Receiver, ...] = ()
+        self._catching = 0
+        self._casters: tuple[Receiver, ...] = ()
+        self._given_back: tuple[Array | None, ...] = ()
+        self._light: CatcherLight | None = None
+
+    def set_scene(self, catchers: Sequence[Receiver], occluders: Sequence[Receiver], objects: Sequence[Receiver],
+                  light: CatcherLight, ground: TileMask) -> tuple[View, ...]:
+        """Take over what stands where in one frame, and its light. `ground`: tiles that show the ground's shadows. Returns the
+        views of all that may differ."""
+        self._things, self._catching = (*catchers, *occluders), len(catchers)
+        casting = [index for index, item in enumerate(objects) if item.casts]
+        self._casters = tuple(objects[index] for index in casting)
+        self._given_back = tuple(light.given_back[index] for index in casting)
+        self._light = light
+        self._ambient.write(np.pad(irradiance(light.coefficients, self._normals), ((0, 0), (0, 0), (0, 1))).astype("f4").tobytes())
+        state = (bytes([self._catching]), *(item.placed.state() for item in (*self._things, *self._casters)))
+        kept = self._reach
+        if kept is None or kept.state != state or not _hold(kept.lights, light.lights) or not np.array_equal(kept.ground, ground):
+            self._reach = kept = _Reach(state, light.lights, ground, self._views(ground))
+        return kept.views
+
+    def _views(self, ground: TileMask) -> tuple[View, ...]:
+        assert self._light is not None
+        points = [surface_points(item.placed) for item in self._things]
+        shown = [surface_tiles(item.body, one, self._frame_size) for item, one in zip(self._things, points, strict=True)]
+        tiles = np.logical_or.reduce(shown) & ground
+        if self._catching:
+            of_catchers = np.concatenate(points[:self._catching])
+            reached = np.zeros_like(ground)
+            for caster in self._casters:
+                reached |= ambient_tiles(caster.body, self._frame_size)
+                for light in self._light.lights:
+                    reached |= light_tiles(caster.body, light, of_catchers, self._frame_size)
+            tiles |= np.logical_or.reduce(shown[:self._catching]) & reached
+        farthest = max(float(np.linalg.norm(one, axis=1).max()) for one in points)
+        return views_of_tiles(tiles, self._frame_size, farthest, tuple(range(len(self._things))))
+
+    def picture(self, view: View) -> moderngl.Texture:
+        """(height, width, 4) ratio times coverage, and coverage, in the corner of a texture that the view fills."""
+        assert self._light is not None
+        target, is_new = self._surfaces.drawn(view, [item.placed for item in self._things], outlined=False)
+        visibility, number = self._visibility.texture(target, view, (*self._still(), *self._casters), self._light.lights)
+        if target not in self._pictures:
+            self._pictures[target] = self._new_picture(target)
+        picture = self._pictures[target]
+        moved = tuple(item.placed.state() for item in self._casters)
+        if is_new or picture.moved != moved:
+            picture.moved = moved
+            self._draw_transfer(picture, target, view)
+        elif picture.shown == [self._light, number]:
+            return picture.ratio
+        picture.shown = [self._light, number]
+        self._draw_ratio(picture, target, view, visibility)
+        return picture.ratio
+
+    def _still(self) -> tuple[Receiver, ...]:
+        """The real things; their own shadows are in the frame already."""
+        return tuple(Receiver(item.placed, item.body, casts=False) for item in self._things)
+
+    def _new_picture(self, target: ViewTarget) -> _Picture:
+        gl, size = self._context.gl, target.texture.size
+        transfer = [self._context.texture(size, 4, "f2", linear=False) for _ in range(3)]
+        ratio = self._context.texture(size, 4, "f2")
+        return _Picture(transfer, gl.framebuffer(transfer), ratio, gl.framebuffer([ratio]))
+
+    def _draw(self, name: str, target: moderngl.Framebuffer, geometry: ViewTarget, view: View,
+              textures: dict[str, moderngl.Texture], values: dict[str, object]) -> None:
+        target.use()
+        target.viewport = (0, 0, *view.size)
+        program = self._programs[name]
+        for unit, (key, texture) in enumerate({"geometry": geometry.samples[0], **textures}.items(), start=FIRST_UNIT):
+            texture.use(unit)
+            set_uniforms(program, {key: unit})
+        left, right, bottom, top = view.bounds
+        catching = sum(index < self._catching for _, index in geometry.surfaces)
+        set_uniforms(program, {"world_from_view": view.axes, "view_bounds": (left, bottom, right - left, top - bottom),
+                               "view_size": view.size, "catcher_surfaces": catching, **values})
+        self._triangles[name].render(moderngl.TRIANGLES, 3)
+
+    def _draw_transfer(self, picture: _Picture, target: ViewTarget, view: View) -> None:
+        kinds, spheres, matrices = np.zeros(MAX_SOLIDS), np.zeros((MAX_SOLIDS, 4)), np.zeros((MAX_SOLIDS, 4, 4))
+        nearest = self._nearest(view)
+        for slot, index in enumerate(nearest):
+            solid = self._casters[index].body.solid
+            kinds[slot], spheres[slot] = KINDS.index(solid.kind), (*solid.centre, solid.radius)
+            matrices[slot] = solid.unit_from_world.T
+        self._draw("catcher_transfer", picture.transfer_target, target, view, {}, {
+            "solid_count": len(nearest), "solid_kind": kinds, "solid_sphere": spheres, "unit_from_world": matrices,
+            "reach": AMBIENT_REACH})
+
+    def _nearest(self, view: View) -> list[int]:
+        """The casters nearest to where a view looks."""
+        away = [1 - float(item.body.solid.centre @ view.rotation[2]) / max(float(np.linalg.norm(item.body.solid.centre)), 1e-6)
+                for item in self._casters]
+        return sorted(range(len(away)), key=away.__getitem__)[:MAX_SOLIDS]
+
+    def _draw_ratio(self, picture: _Picture, target: ViewTarget, view: View, visibility: moderngl.Texture) -> None:
+        assert self._light is not None
+        directions, irradiances, radii = np.zeros((MAX_LIGHTS, 3)), np.zeros((MAX_LIGHTS, 3)), np.zeros(MAX_LIGHTS)
+        for index, light in enumerate(self._light.lights[:MAX_LIGHTS]):
+            directions[index], irradiances[index], radii[index] = light.direction, light.irradiance, light.angular_radius
+        centres, given_back = np.zeros((GIVING_BACK, 3)), np.zeros((GIVING_BACK, 9, 3))
+        for slot, index in enumerate(self._nearest(view)[:GIVING_BACK]):
+            centres[slot] = self._casters[index].body.solid.centre
+            given_back[slot] = 0.0 if self._given_back[index] is None else self._given_back[index]
+        reference = self._light.reference
+        self._draw("catcher", picture.ratio_target, target, view, {
+            **{f"transfer_{index}": texture for index, texture in enumerate(picture.transfer)}, "light_visibility": visibility,
+            "ambient_map": self._ambient}, {
+            "has_light_visibility": int(visibility is not self._visibility.all_visible), "ambient_sh": self._light.coefficients[:9],
+            "light_direction": directions, "light_irradiance": irradiances, "light_radius": radii, "solid_centre": centres,
+            "given_back": given_back, "reference": (0.0, 0.0, 0.0) if reference is None else tuple(reference)})
+
+    def reset(self) -> None:
+        """The next light has nothing to do with the last one."""
+        self._visibility.reset()
+        self._reach = None
+
+    def release(self) -> None:
+        self._context.rest()
+        release_all(*self._pictures.values(), *self._triangles.values(), *self._programs.values(), self._visibility, self._ambient)
+
+
+def _hold(before: tuple[Light, ...], now: tuple[Light, ...]) -> bool:
+    """Whether lights are still where they were."""
+    return len(before) == len(now) and all(hardly_moved(a, b, least=STALE) for a, b in zip(before, now, strict=True))
