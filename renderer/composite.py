@@ -18,9 +18,9 @@ from renderer.gl import Context, release_all, set_uniforms
 from renderer.panorama import PanoramaTextures
 from renderer.placement import TILE, View
 from renderer.shading import Drawn
-from renderer.shadows import ShadowStage
+from renderer.shadow_atlas import ShadowAtlases, ShadowMap
 from renderer.specular_floor import SpecularFloor
-from renderer.tile_plan import POINT_INTS, POINT_LAYOUT, SLOTS, Batch, TilePlan, Touched, make_plan
+from renderer.tile_plan import POINT_INTS, POINT_LAYOUT, SLOTS, Batch, TilePlan, make_plan
 
 Array = NDArray[np.float64]
 MAX_SHADOWS = 64               # of each kind in one frame; as in composite.vert.glsl
@@ -73,11 +73,11 @@ class CompositeStage:
         self._covered: list[View] = []      # the views whose coverage is in the atlas
         self._make_coverage(8)
 
-    def run(self, views: list[View], draw_view: DrawView, maps: list[Touched], ambient: list[Touched],
-            ground: GroundLight, shadows: ShadowStage, floor: SpecularFloor | None = None,
+    def run(self, views: list[View], draw_view: DrawView, maps: list[ShadowMap], ambient: list[ShadowMap],
+            ground: GroundLight, atlases: ShadowAtlases, floor: SpecularFloor | None = None,
             catchers: CatcherLayer | None = None) -> NDArray[np.intp]:
         """Draw every touched tile into the atlas. Returns the (n, 2) row and column of each, in atlas order."""
-        maps = sorted(maps, key=lambda touched: touched.shadow.light)[:MAX_SHADOWS]
+        maps = sorted(maps, key=lambda shadow: shadow.light)[:MAX_SHADOWS]
         ambient = ambient[:MAX_SHADOWS]
         plan = self._plan(views, maps, ambient, () if floor is None else floor.views, () if catchers is None else catchers.views)
         if not len(plan.tiles):
@@ -87,8 +87,8 @@ class CompositeStage:
         self._floor, self._catchers = floor, catchers
         self._frame_uniforms = self._constants(maps, ambient, ground)
         self._prepared: set[Variant] = set()
-        shadows.atlas.use(FIRST_UNIT + 1)
-        shadows.ambient_atlas.use(FIRST_UNIT + 2)
+        atlases.lights.use(FIRST_UNIT + 1)
+        atlases.ambient.use(FIRST_UNIT + 2)
         # all views first: reading a texture that has just been drawn makes a software renderer wait for it
         drawn = [draw_view(view) if batches else None for view, batches in zip(views, plan.batches, strict=False)]
         self._pictures = [] if floor is None else [floor.picture(view) for view in floor.views]
@@ -114,11 +114,11 @@ class CompositeStage:
                        view)
         self._context.gl.enable_only(moderngl.NOTHING)
 
-    def _plan(self, views: list[View], maps: list[Touched], ambient: list[Touched], *others: tuple[View, ...]) -> TilePlan:
+    def _plan(self, views: list[View], maps: list[ShadowMap], ambient: list[ShadowMap], *others: tuple[View, ...]) -> TilePlan:
         """Which tiles are drawn with what; kept for as long as all masks are the same arrays. `others`: the mirrored views, and
         those of catchers."""
         masks = [view.tiles for view in (*views, *(view for group in others for view in group))]
-        masks += [touched.tiles for touched in (*maps, *ambient)]
+        masks += [shadow.tiles for shadow in (*maps, *ambient)]
         sizes = (len(views), len(maps), *map(len, others))
         kept = self._last_plan
         if kept is not None and kept.sizes == sizes and len(kept.masks) == len(masks) and all(
@@ -163,7 +163,7 @@ class CompositeStage:
         layout = " ".join(f"{count}i" if name in program else f"{4 * count}x" for name, count in POINT_LAYOUT)
         return self._context.gl.vertex_array(program, [(self._points, layout, *names)])
 
-    def _constants(self, maps: list[Touched], ambient: list[Touched], ground: GroundLight) -> dict[str, object]:
+    def _constants(self, maps: list[ShadowMap], ambient: list[ShadowMap], ground: GroundLight) -> dict[str, object]:
         assert self._framebuffer is not None
         values: dict[str, object] = {
             "view_texture": FIRST_UNIT, "shadow_atlas": FIRST_UNIT + 1, "ambient_atlas": FIRST_UNIT + 2,
@@ -173,10 +173,10 @@ class CompositeStage:
         if self._is_yuv:
             values["yuv_from_rgb"] = self._panorama.format.yuv_from_rgb().T
         rects = np.zeros((4, MAX_SHADOWS, 4))
-        for kind, touched in ((0, maps), (2, ambient)):
-            for index, item in enumerate(touched):
-                rects[kind, index] = item.shadow.scaled_rect()
-                rects[kind + 1, index] = (*item.shadow.cell_uv(), max(item.shadow.light, 0))
+        for kind, shadows in ((0, maps), (2, ambient)):
+            for index, item in enumerate(shadows):
+                rects[kind, index] = item.scaled_rect()
+                rects[kind + 1, index] = (*item.cell, max(item.light, 0))
         lights = np.zeros((8, 3))
         lights[:len(ground.lights)] = np.reshape(ground.lights, (-1, 3))
         return values | {"ground_y": ground.y, "ground_irradiance": tuple(ground.total), "light_on_ground": lights,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.gl import Context, release_all, set_uniforms
-from renderer.shadows import ShadowMap, ShadowStage
+from renderer.shadow_atlas import ShadowAtlases, ShadowMap
 
 Array = NDArray[np.floating]
 SIZE = 128                 # texels a side
@@ -36,7 +36,7 @@ class GroundRatioStage:
         self.rect = (0.0, 0.0, 1.0, 1.0)        # x0, z0, 1 / width, 1 / depth in metres
 
     def draw(self, maps: list[ShadowMap], ambient: list[ShadowMap], lights: Sequence[Array], total: Array,
-             shadows: ShadowStage) -> None:
+             atlases: ShadowAtlases) -> None:
         """`lights` and `total` are irradiances of the open ground; map indices refer to `lights`."""
         shares = np.array([*lights, total]) / np.maximum(total, 1e-6)
         self._waited += 1
@@ -54,8 +54,8 @@ class GroundRatioStage:
             self._context.gl.enable_only(moderngl.BLEND)
             self._context.gl.blend_func = moderngl.ONE, moderngl.ONE
             inverse = 1 / np.maximum(total, 1e-6)
-            self._add(maps, shadows.atlas, [lights[shadow.light] * inverse for shadow in maps], is_share=True)
-            self._add(ambient, shadows.ambient_atlas, [inverse for _ in ambient], is_share=False)
+            self._add(maps, atlases.lights, [lights[shadow.light] * inverse for shadow in maps], is_share=True)
+            self._add(ambient, atlases.ambient, [inverse for _ in ambient], is_share=False)
             self._context.gl.enable_only(moderngl.NOTHING)
         self.texture.build_mipmaps(0, LEVELS)
 
@@ -65,7 +65,7 @@ class GroundRatioStage:
             return
         rect, cell, weight = np.zeros((MAX_MAPS, 4)), np.zeros((MAX_MAPS, 3)), np.zeros((MAX_MAPS, 3))
         for index in range(count):
-            rect[index], cell[index], weight[index] = maps[index].rect, maps[index].cell_uv(), weights[index]
+            rect[index], cell[index], weight[index] = maps[index].rect, maps[index].cell, weights[index]
         atlas.use(FIRST_UNIT)
         set_uniforms(self._program, {"atlas": FIRST_UNIT, "is_share": int(is_share), "ground_rect": self.rect, "map_rect": rect,
                                      "map_cell": cell, "map_weight": weight})

@@ -27,7 +27,6 @@ from renderer.ring_sampling import RingSource
 from renderer.scene import Lighting, Scene
 from renderer.scene_light import SceneLightStage
 from renderer.shading import ShadingStage, may_mirror
-from renderer.shadows import ShadowStage
 from renderer.specular_floor import FloorBlurStage, SpecularFloor, lobe_spread
 from renderer.surfaces import SurfaceStage
 from renderer.threshold_detection import HEIGHT as THRESHOLD_HEIGHT
@@ -67,12 +66,11 @@ class Pipeline:
         self._radiance = RadianceMapStage(context, self._panorama)
         self._surfaces = SurfaceStage(context)
         self._shading = ShadingStage(context, self._panorama, self._surfaces, self._radiance.texture)
-        self._shadows = ShadowStage(context, size, self._surfaces)
         self._composite = CompositeStage(context, self._panorama)
         self._openness = OpennessStage(context, self._surfaces)
         self._placer = Placer(self._upload, size, assets, mesh_root)
         self._reader = LightReader()
-        self._scene_light = SceneLightStage(context, size, self._surfaces, self._shading, self._shadows)
+        self._scene_light = SceneLightStage(context, size, self._surfaces, self._shading)
         is_reduced = self._radiance.size[0] < size[0] or self._radiance.size[1] < size[1]
         self._moments = MomentStage(context, self._panorama, self._radiance.size) if is_reduced else None
         self._access = FrameAccess(self._upper_half, None if self._moments is None else self._moments.run)
@@ -124,7 +122,7 @@ class Pipeline:
         lit = self._scene_light.run(scene, light, placement, self._rings_for(scene), timings)
         with timings.stage("objects_and_composite"):
             draw_view = self._drawing(placement)
-            touched = self._composite.run(placement.views, draw_view, lit.maps, lit.ambient, lit.ground, self._shadows,
+            touched = self._composite.run(placement.views, draw_view, lit.maps, lit.ambient, lit.ground, self._scene_light.atlases,
                                           self._floor(scene, placement), lit.catchers)
             self._context.start()   # while the planes are being copied
         with timings.stage("write"):
@@ -215,14 +213,14 @@ class Pipeline:
     def reset(self) -> None:
         """Forget the lights of earlier frames."""
         self._reader.reset()
-        for stage in (self._scene_light, self._shadows, self._shading):
+        for stage in (self._scene_light, self._shading):
             stage.reset()
 
     def release(self) -> None:
         self._context.rest()
         self._placer.release()
         self._openness.release()
-        release_all(self._composite, self._shadows, self._shading, self._surfaces, self._upper, self._rings, self._moments,
+        release_all(self._composite, self._shading, self._surfaces, self._upper, self._rings, self._moments,
                     self._floor_blur, self._scene_light, self._radiance, self._panorama)
 
 

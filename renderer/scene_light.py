@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import moderngl
 import numpy as np
+from numpy.typing import NDArray
 
+from renderer.ambient_shadows import AmbientShadowStage
 from renderer.catchers import CatcherLayer, CatcherLight, CatcherStage
 from renderer.composite import GroundLight
 from renderer.gl import Context, release_all
@@ -15,20 +17,22 @@ from renderer.inverse_tone_mapping import WEIGHTS
 from renderer.irradiance import disc_cosine, irradiance
 from renderer.light_detection import MAX_LIGHTS, Light
 from renderer.light_reading import FrameLight
+from renderer.light_shadows import LightShadowStage
 from renderer.light_visibility import Receiver
-from renderer.placement import TileMask, tile_grid, touched_tiles
+from renderer.placement import TileMask, tile_grid
 from renderer.placing import Placement
 from renderer.scene import Lighting, Scene
 from renderer.shading import MIRROR_BELOW, Illumination, ShadingStage, is_sharp, may_mirror
+from renderer.shadow_atlas import ShadowAtlases, ShadowMap
+from renderer.shadow_casters import RealThings
 from renderer.shadow_mapping import screen_space_occlusion
 from renderer.shadow_reach import surrounds_camera
-from renderer.shadows import ShadowMap, ShadowStage
 from renderer.specular import MIN_ROUGHNESS, prefilter_all, quantized_roughness
 from renderer.surfaces import SurfaceStage
 from renderer.surroundings import Surroundings
-from renderer.tile_plan import Touched
 from renderer.timings import Timings
 
+Array = NDArray[np.float64]
 UP = np.array([0.0, 1.0, 0.0])
 MIN_GROUND_SHARE = 0.02    # of the ground's irradiance; weaker lights cast no visible shadow
 
@@ -41,23 +45,27 @@ class LitScene:
     lighting: Lighting
     placement: Placement
     ground: GroundLight
-    maps: list[Touched]
-    ambient: list[Touched]
+    maps: list[ShadowMap]
+    ambient: list[ShadowMap]
     catchers: CatcherLayer | None
 
 
 class SceneLightStage:
     """Keeps what it found until light or placement is another. Owns the surroundings and the stage of real surfaces."""
 
-    def __init__(self, context: Context, size: tuple[int, int], surfaces: SurfaceStage, shading: ShadingStage,
-                 shadows: ShadowStage) -> None:
+    def __init__(self, context: Context, size: tuple[int, int], surfaces: SurfaceStage, shading: ShadingStage) -> None:
         self._context, self._size = context, size
-        self._surfaces, self._shading, self._shadows = surfaces, shading, shadows
+        self._surfaces, self._shading = surfaces, shading
+        self._light_shadows = LightShadowStage(context, size, surfaces)
+        self._ambient_shadows = AmbientShadowStage(context, size)
         self._surroundings = Surroundings()
         self._catchers: CatcherStage | None = None      # made when it is first wanted
         self._last: LitScene | None = None
         self._illuminations = 0
-        self._shadow_tiles: dict[tuple[ShadowMap, float], TileMask] = {}
+
+    @property
+    def atlases(self) -> ShadowAtlases:
+        return ShadowAtlases(self._light_shadows.atlas, self._ambient_shadows.atlas)
 
     @property
     def last(self) -> LitScene | None:
@@ -139,63 +147,43 @@ class SceneLightStage:
                            additive=scene.lighting.method("composite") == "additive")
 
     def _cast(self, scene: Scene, placement: Placement, light: FrameLight,
-              ground: GroundLight) -> tuple[list[Touched], list[Touched]]:
+              ground: GroundLight) -> tuple[list[ShadowMap], list[ShadowMap]]:
         placed = placement.objects
         filtered = scene.lighting.method("shadows") == "pcf"
         casters = {item.id: placed[item.id] for item in scene.objects if item.id in placed and item.casts_shadow}
         gate = MIN_GROUND_SHARE * float(ground.total @ WEIGHTS)
-        real = [] if filtered else self._real((*placement.catchers, *placement.occluders))
-        self._shadows.begin(set(casters), {item.id for item in _rendered(light)},
-                            [(item.placed, item.body.solid) for item in real])
-        maps: list[ShadowMap | None] = []
-        ambient: list[ShadowMap | None] = []
-        for key, caster in casters.items():
-            for index, item in enumerate(_rendered(light)):
-                if ground.lights[index] @ WEIGHTS > gate:
-                    maps.append(self._shadows.light_shadow(key, caster, item, index, ground.y, filtered=filtered))
-            ambient.append(self._shadows.ambient_shadow(key, caster, ground.y))
-        by_object = {key: shadow for key, shadow in zip(casters, ambient, strict=True) if shadow is not None}
+        things = () if filtered else self._real((*placement.catchers, *placement.occluders))
+        real = RealThings([(item.placed, item.body.solid) for item in things])
+        self._light_shadows.begin(set(casters), {item.id for item in _rendered(light)}, real)
+        maps = [shadow for index, item in enumerate(_rendered(light)) if ground.lights[index] @ WEIGHTS > gate
+                for shadow in self._light_shadows.run(casters, item, index, ground.y, filtered=filtered)]
+        ambient = self._ambient_shadows.run(casters, self._hidden(list(casters), light, filtered=filtered), ground.y, real)
+        return maps, ambient
+
+    def _hidden(self, names: list[str], light: FrameLight, *, filtered: bool) -> dict[str, Array]:
+        """Of each object (9, 3) coefficients of what it hides, less what it gives back."""
         if filtered:
-            self._shadows.weigh_ambient(list(by_object.values()), [screen_space_occlusion(light.coefficients)] * len(by_object))
-        else:
-            self._weigh_ambient(by_object, light, has_near=bool(self._shading.near))
+            return dict.fromkeys(names, screen_space_occlusion(light.coefficients))
+        given_back = {name: self._surroundings.bounced(name) if self._shading.near else None for name in names}
+        return {name: light.coefficients[:9] if back is None else light.coefficients[:9] - back
+                for name, back in given_back.items()}
 
-        touched = self._touched([shadow for shadow in (*maps, *ambient) if shadow is not None], ground.y)
-        return [item for item in touched if item.shadow.light >= 0], [item for item in touched if item.shadow.light < 0]
-
-    def _weigh_ambient(self, shadows: dict[str, ShadowMap], light: FrameLight, *, has_near: bool) -> None:
-        hidden = [light.coefficients[:9] for _ in shadows]
-        for index, key in enumerate(shadows):
-            given_back = self._surroundings.bounced(key) if has_near else None
-            if given_back is not None:
-                hidden[index] = hidden[index] - given_back
-        self._shadows.weigh_ambient(list(shadows.values()), hidden)
-
-    def _reflect_ground(self, placement: Placement, ground: GroundLight, maps: list[Touched],
-                        ambient: list[Touched]) -> None:
+    def _reflect_ground(self, placement: Placement, ground: GroundLight, maps: list[ShadowMap],
+                        ambient: list[ShadowMap]) -> None:
         """Have the ground's shadows ready for those objects that are smooth enough to show them."""
         objects = placement.objects.values()
         if any(item.is_detailed or any(map(is_sharp, item.surfaces)) for item in objects):
-            self._shading.ground_missing.draw([item.shadow for item in maps], [item.shadow for item in ambient], ground.lights,
-                                              ground.total, self._shadows)
-
-    def _touched(self, shadows: list[ShadowMap], ground_y: float) -> list[Touched]:
-        """The tiles of each map; those of a map that lies where it lay in the last frame are kept."""
-        tiles = {}
-        for shadow in shadows:
-            kept = self._shadow_tiles.get((shadow, ground_y))
-            tiles[(shadow, ground_y)] = touched_tiles(shadow.outline(ground_y), self._size) if kept is None else kept
-        self._shadow_tiles = tiles
-        return [Touched(shadow, tiles[(shadow, ground_y)]) for shadow in shadows]
+            self._shading.ground_missing.draw(maps, ambient, ground.lights, ground.total, self.atlases)
 
     def reset(self) -> None:
         """The next light has nothing to do with the last one."""
         self._surroundings.reset()
+        self._light_shadows.reset()
         if self._catchers is not None:
             self._catchers.reset()
 
     def release(self) -> None:
-        release_all(self._catchers)
+        release_all(self._catchers, self._light_shadows, self._ambient_shadows)
 
 
 def _rendered(light: FrameLight) -> tuple[Light, ...]:

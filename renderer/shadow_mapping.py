@@ -1,9 +1,9 @@
 """Shadows on the ground as MR360 casts them (section 6.3): a depth map along each light, percentage-closer filtered.
 
-The baseline of `shadows.py`, into the same maps of the ground. The paper sets two parameters of UE4 by the light's solid angle
-Omega, clamped to [0.1, 0.6] sr and mapped linearly: the dynamic shadow distance to D in [40, 200] m, and the distribution exponent
-of its two cascades to e in [1, 3]. A larger D spreads the texels of the map, and so the penumbra. What that comes to in metres it
-does not say; this is our reading of it, by UE4's own rules and default quality:
+The baseline of `light_shadows.py`, into the same maps of the ground. The paper sets two parameters of UE4 by the light's solid
+angle Omega, clamped to [0.1, 0.6] sr and mapped linearly: the dynamic shadow distance to D in [40, 200] m, and the distribution
+exponent of its two cascades to e in [1, 3]. A larger D spreads the texels of the map, and so the penumbra. What that comes to in
+metres it does not say; this is our reading of it, by UE4's own rules and default quality:
 
 * a cascade is the square around the sphere about the camera that ends at its distance: the first at D / (1 + e), the second at D
   (UE4 splits by a geometric series of ratio e); an object belongs to the first whose distance reaches it. UE4 has no shadows beyond
@@ -78,7 +78,7 @@ class ShadowMapping:
 
     def fill(self, target: moderngl.Framebuffer, viewport: tuple[int, int, int, int], rect: tuple[float, float, float, float],
              ground_y: float, placed: PlacedMesh, points: Array, light: Light) -> None:
-        """Write the share of the light that the object hides into a part of `target` that shows the ground's `rect` (x0, z0, x1, z1
+        """Add the share of the light that the object hides to a part of `target` that shows the ground's `rect` (x0, z0, x1, z1
         in metres). `points`: (n, 3) outline of the object in the world."""
         rotation = looking_along(-light.direction)
         texel = _texel(points, rotation, light)
@@ -101,8 +101,10 @@ class ShadowMapping:
         set_uniforms(self._program, {
             "depth_map": FIRST_UNIT, "clip_from_world": clip_from_world.T, "map_size": drawn[2:], "bias": BIAS_M / extent[2],
             "ground_rect": (*rect[:2], rect[2] - rect[0], rect[3] - rect[1]), "ground_y": ground_y, "cell": viewport})
-        self._gl.enable_only(moderngl.NOTHING)
+        self._gl.enable_only(moderngl.BLEND)
+        self._gl.blend_func = moderngl.ONE, moderngl.ONE
         self._triangle.render(moderngl.TRIANGLES, 3)
+        self._gl.enable_only(moderngl.NOTHING)
 
     def release(self) -> None:
         release_all(self._framebuffer, self._depth, self._triangle, self._program)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.placement import TileMask, View
-from renderer.shadows import ShadowMap
+from renderer.shadow_atlas import ShadowMap
 
 # Maps of lights and of the residual in one tile: each pair has a program of its own, and a tile takes the first that is enough.
 # Few, because each has to be compiled before the first frame.
@@ -29,14 +29,6 @@ class Batch(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Touched:
-    """Tiles of one shadow map."""
-
-    shadow: ShadowMap
-    tiles: TileMask
-
-
-@dataclass(frozen=True)
 class TilePlan:
     """Touched tiles in atlas order, the points to draw, and per view (the last entry: no view) which with each program."""
 
@@ -49,7 +41,7 @@ class TilePlan:
     sizes: tuple[int, ...]      # views, light maps, mirrored views, views of catchers
 
 
-def make_plan(views: list[View], maps: list[Touched], ambient: list[Touched], others: tuple[tuple[View, ...], ...],
+def make_plan(views: list[View], maps: list[ShadowMap], ambient: list[ShadowMap], others: tuple[tuple[View, ...], ...],
               masks: list[TileMask], sizes: tuple[int, ...]) -> TilePlan:
     """`others`: the mirrored views, and those of catchers; a tile has one of each at most."""
     tiles = np.argwhere(np.logical_or.reduce(masks)) if masks else np.zeros((0, 2), dtype=np.intp)
@@ -80,7 +72,7 @@ def make_plan(views: list[View], maps: list[Touched], ambient: list[Touched], ot
     return TilePlan(tiles, np.concatenate(points), batches, view_points, covered, masks, sizes)
 
 
-def _reached(tiles: NDArray[np.intp], touched: list[Touched], most: int) -> NDArray[np.intp]:
+def _reached(tiles: NDArray[np.intp], touched: list[ShadowMap], most: int) -> NDArray[np.intp]:
     """(tiles, most) indices of the shadow maps that reach each tile, in their order, then -1."""
     if not touched:
         return np.full((len(tiles), most), -1, dtype=np.intp)

@@ -1,5 +1,5 @@
 // Accumulates the share of a light that is hidden.
-uniform float weight;
+flat in float counted;
 out float occlusion;
 
-void main() { occlusion = weight; }
+void main() { occlusion = counted; }
