@@ -180,7 +180,7 @@ def _material_texture(context: Context, image: Texture, surface: Surface, slot: 
     mapping = surface.mappings.get(slot)
     texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
     if mapping is not None:
-        texture.repeat_x, texture.repeat_y = (wrap != "clamp" for wrap in mapping.wrap)
+        texture.repeat_x, texture.repeat_y = (wrap == "repeat" for wrap in mapping.wrap)
         if mapping.nearest:
             texture.filter = (moderngl.NEAREST_MIPMAP_NEAREST, moderngl.NEAREST)
     return texture

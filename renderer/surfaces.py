@@ -222,16 +222,19 @@ def _write_colors(framebuffer: moderngl.Framebuffer, on: bool) -> None:
 
 
 def _bind_material(program: moderngl.Program, surface: Surface, textures: dict[Slot, moderngl.Texture]) -> None:
-    matrices, second_set = np.zeros((len(SLOTS), 2, 3)), 0
+    matrices, second_set, mirrored = np.zeros((len(SLOTS), 2, 3)), 0, [0, 0]
     for index, slot in enumerate(SLOTS):
         mapping = surface.mappings.get(slot, TextureMapping())
         matrices[index] = mapping.matrix
         second_set |= mapping.uv_set << index
+        for axis in (0, 1):
+            mirrored[axis] |= (mapping.wrap[axis] == "mirror") << index     # moderngl has no name for GL_MIRRORED_REPEAT
         set_uniforms(program, {f"{slot}_texture": FIRST_UNIT + index})
         if slot in textures:
             textures[slot].use(FIRST_UNIT + index)
     set_uniforms(program, {
         "has_textures": sum(1 << index for index, slot in enumerate(SLOTS) if slot in textures), "second_set": second_set,
+        "mirrored": tuple(mirrored),
         "uv_mapping": matrices.transpose(0, 2, 1), "base_color": surface.base_color, "metallic": surface.metallic,
         "roughness": surface.roughness, "emissive": surface.emissive, "normal_scale": surface.normal_scale,
         "occlusion_strength": surface.occlusion_strength, "is_unlit": int(surface.unlit),

@@ -4,6 +4,7 @@ const int OPAQUE = 0, MASK = 1, BLEND = 2;
 
 uniform int has_textures;               // a bit for each of those
 uniform int second_set;                 // the same: read with the second texture coordinates
+uniform ivec2 mirrored;                 // the same, in u and v: every second repetition is turned round
 uniform mat3x2 uv_mapping[5];
 uniform vec4 base_color;
 uniform int alpha_mode;
@@ -16,7 +17,8 @@ bool has(int slot) { return (has_textures & (1 << slot)) != 0; }
 
 vec2 mapped(int slot) {
     vec2 uv = (second_set & (1 << slot)) != 0 ? texture_uv.zw : texture_uv.xy;
-    return uv_mapping[slot] * vec3(uv, 1.0);
+    vec2 at = uv_mapping[slot] * vec3(uv, 1.0), folded = 1.0 - abs(mod(at, 2.0) - 1.0);
+    return mix(at, folded, bvec2(mirrored & (1 << slot)));
 }
 
 vec4 material_color(float bias) {

@@ -65,6 +65,19 @@ def test_a_texture_is_read_where_its_coordinates_say_and_as_srgb(context: Contex
     assert right[1] > 5 * right[0]
 
 
+@pytest.mark.parametrize(("wrap", "expected"), [(10497, [1, 0, 1, 0]), (33648, [1, 0, 0, 1]), (33071, [1, 0, 0, 0])])
+def test_a_texture_repeats_as_its_sampler_says(context: Context, tmp_path: Path, wrap: int, expected: list[int]) -> None:
+    """Bright on its left half, laid twice across: repeated, mirrored, or its last column over and over."""
+    picture = np.zeros((16, 16, 3), dtype=np.uint8)
+    picture[:, :8] = 255
+    model = Model()
+    texture = model.texture(picture, sampler=model.add("samplers", wrapS=wrap, wrapT=wrap))
+    model = quad({"pbrMetallicRoughness": {"baseColorTexture": texture, "metallicFactor": 0.0},
+                  "extensions": {"KHR_materials_unlit": {}}}, model=model, TEXCOORD_0=[[0, 1], [2, 1], [2, 0], [0, 0]])
+    found = drawn(context, tmp_path, model)
+    assert [middle(found, across)[1] for across in (-0.75, -0.25, 0.25, 0.75)] == pytest.approx(expected, abs=0.03)
+
+
 def test_vertex_colours_are_factors(context: Context, tmp_path: Path) -> None:
     model = quad({"pbrMetallicRoughness": {"baseColorFactor": [1, 0.5, 1, 1], "metallicFactor": 0.0}},
                  COLOR_0=[[1, 1, 0, 1]] * 4)
