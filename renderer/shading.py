@@ -324,6 +324,7 @@ class ShadingStage:
     def reset(self) -> None:
         """The next light has nothing to do with the last one."""
         self._visibility.reset()
+        self.ground_missing.reset()
         for shaded in self._shaded.values():
             shaded.lit_by = None
 
