@@ -13,6 +13,7 @@ from renderer.gl import Context, release_all, set_uniforms
 from renderer.gpu_mesh import PlacedMesh
 from renderer.ground_ratio import GroundRatioStage
 from renderer.light_detection import Light
+from renderer.light_discs import share_below_horizon
 from renderer.light_visibility import LightVisibilityStage, Receiver
 from renderer.mesh import Surface
 from renderer.near_field import FUNCTIONS, Fit
@@ -141,11 +142,15 @@ class ShadingStage:
         lights = illumination.lights[:LIGHT_SLOTS[-1]]
         self._slots = next(slots for slots in LIGHT_SLOTS if slots >= len(lights))
         directions, irradiances, radii = np.zeros((self._slots, 3)), np.zeros((self._slots, 3)), np.zeros(self._slots)
+        below = np.zeros(self._slots)
+        if illumination.ground_y is not None and illumination.rings is None:    # the papers know no ground
+            below[:len(lights)] = [share_below_horizon(light) for light in lights]
         for index, light in enumerate(lights):
             directions[index], irradiances[index], radii[index] = light.direction, light.irradiance, light.angular_radius
         self._uniforms = {
             **self._set_lobes(illumination.irradiance, illumination.lobes),
             "light_direction": directions, "light_irradiance": irradiances, "light_radius": radii,
+            "light_below": below,
             "mirror_below": MIRROR_BELOW,
             "ground_y": illumination.ground_y or 0.0,
             "has_ground": int(illumination.ground_y is not None),

@@ -20,6 +20,7 @@ uniform vec4 view_bounds;               // left, bottom, width, height on the ta
 uniform vec2 view_size;
 
 uniform vec3 light_direction[LIGHTS];
+uniform float light_below[LIGHTS];      // share of its disc that is under the horizon, on the ground
 uniform vec3 light_irradiance[LIGHTS];  // 0 for an unused entry
 uniform float light_radius[LIGHTS];
 uniform sampler2D light_visibility;     // a channel for each of the first four; one texel where all are visible everywhere
@@ -87,6 +88,11 @@ float disc_cosine(float cosine, float radius) {
     return cosine >= s ? cosine : (rising <= 0.0 ? 0.0 : rising * rising / (4.0 * s));
 }
 
+// What is far away on the ground fills less of the view than it did from the camera, in proportion to the height over the ground.
+float ground_foreshortening(vec3 position) {
+    return has_ground == 1 && ground_y < 0.0 ? max(position.y - ground_y, 0.0) / -ground_y : 1.0;
+}
+
 // A wide lobe does not point where a mirror would: shadowing and the horizon turn it towards the normal. Lagarde & de Rousiers 2014,
 // "Moving Frostbite to physically based rendering", section 4.9.3.
 vec3 dominant_direction(vec3 mirrored, vec3 normal, float roughness) {
@@ -120,7 +126,9 @@ vec3 solid_radiance(int index, vec3 at, vec3 ray, float blur) {
     mat3 linear = mat3(unit_from_world[index]);
     vec3 normal = normalize(unit_normal(int(solid_kind[index].x), (unit_from_world[index] * vec4(at, 1.0)).xyz) * linear);
     vec3 e = filtered_light(normal, irradiance_cell);
-    for (int i = 0; i < LIGHTS; ++i) e += light_irradiance[i] * max(dot(normal, light_direction[i]), 0.0);
+    float flatter = ground_foreshortening(at);
+    for (int i = 0; i < LIGHTS; ++i)
+        e += light_irradiance[i] * (max(dot(normal, light_direction[i]), 0.0) * mix(1.0, flatter, light_below[i]));
     vec3 onward = seen_direction(at, reflect(ray, normal));
     vec3 reflected = filtered_light(onward, solid_lobe[index]);
     float metallic = solid_kind[index].y;
@@ -197,6 +205,7 @@ vec3 shade(Surface s, vec3 view, vec3 mirror_ray, vec3 step_x, vec3 step_y, vec4
 #endif
     vec3 glossy = (reflectance * s.open) * mix(mirrored * met.ratio, met.light, met.hidden);
     vec3 e = filtered_light(s.normal, irradiance_cell) * (s.nearby * s.open);
+    float flatter = ground_foreshortening(s.position);
     for (int i = 0; i < LIGHTS; ++i) {
         vec3 l = light_direction[i], h = normalize(l + view);
         float n_dot_l = disc_cosine(dot(s.normal, l), light_radius[i]), away = 1.0 - clamp(dot(view, h), 0.0, 1.0);
@@ -205,7 +214,7 @@ vec3 shade(Surface s, vec3 view, vec3 mirror_ray, vec3 step_x, vec3 step_y, vec4
         float spread = ggx_reflection(clamp(dot(s.normal, h), 0.0, 1.0), n_dot_l, n_dot_v, widened);
         vec3 recovered = 1.0 + f0 * (1.0 / max(whole + ab.z * (widened - alpha), 1e-3) - 1.0);
         vec3 fresnel = f0 + (1.0 - f0) * (away2 * away2 * away);
-        vec3 arriving = light_irradiance[i] * (n_dot_l * visible.x);
+        vec3 arriving = light_irradiance[i] * (n_dot_l * visible.x * mix(1.0, flatter, light_below[i]));
         visible = vec4(visible.yzw, 1.0);
         e += arriving;
         // what a mirror shows of the light is in the frame already
