@@ -19,7 +19,7 @@ SRGB8_ALPHA8 = 0x8C43      # moderngl has no name for it
 SLOTS: tuple[Slot, ...] = get_args(Slot)
 _IN_SRGB = ("base_color", "emissive")
 _MOVING = (("position", 3), ("normal", 3), ("tangent", 4))
-_STILL = (("openness", 1), ("uv", 2), ("uv2", 2), ("color", 4))
+_STILL = (("openness", 2), ("uv", 2), ("uv2", 2), ("color", 4))
 ROUGHNESS_PERCENTILES = (2.0, 35.0, 65.0, 98.0)
 _NO_TANGENT = (1.0, 0.0, 0.0, 1.0)
 
@@ -120,7 +120,7 @@ class GpuPart:
         self.roughnesses = _roughnesses(primitive.surface)
         count = len(primitive.positions)
         still: list[NDArray[np.floating]] = [
-            np.ones((count, 1)), primitive.uvs, primitive.uvs if primitive.uvs2 is None else primitive.uvs2,
+            np.ones((count, 2)), primitive.uvs, primitive.uvs if primitive.uvs2 is None else primitive.uvs2,
             np.ones((count, 4)) if primitive.colors is None else primitive.colors]
         self._posed = Posed(primitive.positions, primitive.normals, primitive.tangents)
         self._moving = gl.buffer(_interleaved(self._posed))
@@ -144,9 +144,14 @@ class GpuPart:
             self._posed = posed
             self._moving.write(_interleaved(posed))
 
+    @property
+    def openness(self) -> NDArray[np.float32]:
+        """(n, 2) share of the light around that reaches each vertex past the mesh itself, in front and behind."""
+        return self._still_values[:, :2]
+
     def set_openness(self, values: NDArray[np.float32]) -> None:
-        """(n,) share of the light around that reaches each vertex past the mesh itself."""
-        self._still_values[:, 0] = values
+        """Take other values of `openness`."""
+        self._still_values[:, :2] = values
         self._still.write(self._still_values.tobytes())
 
     @property

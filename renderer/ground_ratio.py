@@ -71,6 +71,10 @@ class GroundRatioStage:
                                      "map_cell": cell, "map_weight": weight})
         self._quad.render(moderngl.TRIANGLE_STRIP, vertices=4, instances=count)
 
+    def reset(self) -> None:
+        """The next light has nothing to do with the last one: draw at once."""
+        self._drawn = None
+
     def release(self) -> None:
         self._context.rest()
         release_all(self._framebuffer, self.texture, self._quad, self._program)

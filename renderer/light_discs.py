@@ -32,3 +32,9 @@ def hardly_moved(before: Light, now: Light, tolerance: float = STALE_SHARE, leas
     moved = float(np.arccos(np.clip(before.direction @ now.direction, -1, 1)))
     grown = abs(before.angular_radius - now.angular_radius)
     return moved <= max(tolerance * now.angular_radius, least) and grown <= 0.2 * now.angular_radius
+
+
+def share_below_horizon(light: Light) -> float:
+    """Of a light's disc: a segment of a circle."""
+    height = float(np.clip(light.direction[1] / max(np.sin(light.angular_radius), 1e-9), -1, 1))
+    return float((np.arccos(height) - height * np.sqrt(1 - height * height)) / np.pi)

@@ -118,9 +118,10 @@ class LightVisibilityStage:
         self._framebuffer.viewport = (0, 0, SIZE, SIZE)
         self._framebuffer.clear(depth=1.0)
         self._surfaces.draw_depth(clip_from_world, [item.placed for item in casters])
+        # before it is used: moderngl 5.13 hands a mask to GL only then
+        kept.framebuffer.color_mask = (channel == 0, channel == 1, channel == 2, channel == 3)
         kept.framebuffer.use()
         kept.framebuffer.viewport = (0, 0, *kept.view.size)
-        kept.framebuffer.color_mask = (channel == 0, channel == 1, channel == 2, channel == 3)
         self._depth.use(FIRST_UNIT)
         target.samples[0].use(FIRST_UNIT + 1)
         left, right, bottom, top = kept.view.bounds

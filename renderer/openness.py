@@ -1,7 +1,10 @@
 """How open each vertex of a mesh is to the light around it: the cosine-weighted share of its hemisphere that the mesh itself leaves
-free. Measured once when a mesh is loaded, at rest, by depth maps from directions all around it; what is convex needs none."""
+free, in front and, where a surface has two sides, behind. Measured once when a mesh is loaded, at rest, by depth maps from
+directions all around it; what is convex needs none."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +21,20 @@ DIRECTIONS = (8, 64)           # fewest and most
 TRIANGLES = 600_000            # to be drawn in all: half of the time that a mesh may take
 OFFSET = 0.01                  # of the mesh's size: how far off its surface a vertex looks from
 SLOPE = 1.5                    # texels that a surface may rise within its own
+
+
+@dataclass(frozen=True)
+class _DepthMap:
+    """(SIZE, SIZE) depth of a mesh along a direction; `clip_from_centred` (3, 3) turns points about its centre into the map's."""
+
+    depth: Array
+    clip_from_centred: Array
+
+    def sees(self, start: Array) -> Array:
+        """(n,) whether nothing of the mesh is in this direction of (n, 3) points about its centre."""
+        at = (start @ self.clip_from_centred.T) * 0.5 + 0.5
+        texel = np.clip((at[:, :2] * SIZE).astype(np.intp), 0, SIZE - 1)
+        return np.asarray(self.depth[texel[:, 1], texel[:, 0]] > at[:, 2] - SLOPE / SIZE)
 
 
 class OpennessStage:
@@ -39,18 +56,20 @@ class OpennessStage:
         low, high = points.min(axis=0), points.max(axis=0)
         centre, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-9)
         count = int(np.clip(TRIANGLES / max(mesh.mesh.triangle_count, 1), *DIRECTIONS))
-        start = points + normals * (2 * radius * OFFSET) - centre
-        free, whole = np.zeros(len(points)), np.zeros(len(points))
+        sides = (1.0, -1.0) if any(part.surface.double_sided for part in parts) else (1.0,)
+        self._surfaces.set_ground(None)     # at rest it stands nowhere; whoever draws it next says where the ground is
+        free, whole = np.zeros((len(points), 2)), np.zeros((len(points), 2))
         for direction in _sphere_directions(count):
-            weight = np.maximum(normals @ direction, 0.0)
-            whole += weight
-            free += weight * self._sees(mesh, centre, radius, direction, start)
+            depth = self._depth_map(mesh, centre, radius, direction)
+            for index, side in enumerate(sides):
+                weight = np.maximum(side * (normals @ direction), 0.0)
+                whole[:, index] += weight
+                free[:, index] += weight * depth.sees(points + normals * (side * 2 * radius * OFFSET) - centre)
         opened = np.where(whole > 0, free / np.maximum(whole, 1e-9), 1.0).astype(np.float32)
         for part, values in zip(mesh.parts, np.split(opened, np.cumsum([len(p.positions) for p in parts])[:-1]), strict=True):
             part.set_openness(values)
 
-    def _sees(self, mesh: GpuMesh, centre: Array, radius: float, direction: Array, start: Array) -> Array:
-        """(n,) whether nothing of the mesh is in this direction of (n, 3) points about its centre."""
+    def _depth_map(self, mesh: GpuMesh, centre: Array, radius: float, direction: Array) -> _DepthMap:
         rotation = looking_along(-direction)
         clip = np.eye(4)
         clip[:3, :3] = rotation / (1.05 * radius)
@@ -59,10 +78,7 @@ class OpennessStage:
         self._framebuffer.viewport = (0, 0, SIZE, SIZE)
         self._framebuffer.clear(depth=1.0)
         self._surfaces.draw_depth(clip, [PlacedMesh(mesh, np.eye(4), None)])
-        depth = np.frombuffer(self._depth.read(), dtype="f4").reshape(SIZE, SIZE)
-        at = (start @ clip[:3, :3].T) * 0.5 + 0.5
-        texel = np.clip((at[:, :2] * SIZE).astype(np.intp), 0, SIZE - 1)
-        return np.asarray(depth[texel[:, 1], texel[:, 0]] > at[:, 2] - SLOPE / SIZE)
+        return _DepthMap(np.frombuffer(self._depth.read(), dtype="f4").reshape(SIZE, SIZE), clip[:3, :3])
 
     def release(self) -> None:
         self._rest()

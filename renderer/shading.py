@@ -13,13 +13,14 @@ from renderer.gl import Context, release_all, set_uniforms
 from renderer.gpu_mesh import PlacedMesh
 from renderer.ground_ratio import GroundRatioStage
 from renderer.light_detection import Light
+from renderer.light_discs import share_below_horizon
 from renderer.light_visibility import LightVisibilityStage, Receiver
 from renderer.mesh import Surface
 from renderer.near_field import FUNCTIONS, Fit
 from renderer.panorama import PanoramaTextures
 from renderer.placement import View
 from renderer.shapes import KINDS
-from renderer.specular import MIN_ROUGHNESS, Array32, dfg_table, quantized_roughness
+from renderer.specular import MIN_ROUGHNESS, Array32, Lobe, dfg_table, quantized_roughness
 from renderer.surfaces import FIRST_UNIT, MAX_SURFACES, SurfaceStage, ViewTarget
 
 Array = NDArray[np.float64]
@@ -38,7 +39,7 @@ class Illumination:
 
     irradiance: Array32
     lights: tuple[Light, ...]
-    lobes: dict[float, Array32]
+    lobes: dict[float, Lobe]
     ground_y: float | None
     rings: moderngl.Texture | None = None
     near: tuple[Fit, ...] = ()      # of each object, by its index
@@ -103,6 +104,14 @@ def is_sharp(surface: Surface) -> bool:
     return surface.roughness < 0.6 and surface.metallic > 0.5
 
 
+def _bordered(one: Array32, cell: Array32) -> None:
+    """Write a map into a cell of the atlas that is two texels larger, with what lies across its seam and its poles around it."""
+    half = one.shape[1] // 2
+    cell[1:-1, 1:-1] = one
+    cell[0, 1:-1], cell[-1, 1:-1] = np.roll(one[0], half, axis=0), np.roll(one[-1], half, axis=0)
+    cell[:, 0], cell[:, -1] = cell[:, -2], cell[:, 1]
+
+
 class ShadingStage:
     """Owns the shading programs and their look-up textures."""
 
@@ -114,7 +123,7 @@ class ShadingStage:
         self._radiance_texture = radiance_texture
         self._shading: dict[Shading, tuple[moderngl.Program, moderngl.VertexArray]] = {}
         table = dfg_table()
-        self._dfg = context.texture((table.shape[1], table.shape[0]), 4, "f4")
+        self._dfg = context.texture((table.shape[1], table.shape[0]), 2, "f4")
         self._dfg.write(table.tobytes())
         self._visibility = LightVisibilityStage(context, surfaces)
         self.ground_missing = GroundRatioStage(context)
@@ -141,11 +150,15 @@ class ShadingStage:
         lights = illumination.lights[:LIGHT_SLOTS[-1]]
         self._slots = next(slots for slots in LIGHT_SLOTS if slots >= len(lights))
         directions, irradiances, radii = np.zeros((self._slots, 3)), np.zeros((self._slots, 3)), np.zeros(self._slots)
+        below = np.zeros(self._slots)
+        if illumination.ground_y is not None and illumination.rings is None:    # the papers know no ground
+            below[:len(lights)] = [share_below_horizon(light) for light in lights]
         for index, light in enumerate(lights):
             directions[index], irradiances[index], radii[index] = light.direction, light.irradiance, light.angular_radius
         self._uniforms = {
             **self._set_lobes(illumination.irradiance, illumination.lobes),
             "light_direction": directions, "light_irradiance": irradiances, "light_radius": radii,
+            "light_below": below,
             "mirror_below": MIRROR_BELOW,
             "ground_y": illumination.ground_y or 0.0,
             "has_ground": int(illumination.ground_y is not None),
@@ -162,31 +175,29 @@ class ShadingStage:
         if self._illumination is not None:
             self._illumination = replace(self._illumination, receivers=receivers, occluders=occluders)
 
-    def _set_lobes(self, irradiance: Array32, lobes: dict[float, Array32]) -> dict[str, object]:
-        """Stack the filtered maps in one texture, each with a border of what lies across its seam and its poles."""
-        maps = [irradiance, *(lobe for _, lobe in sorted(lobes.items())[:MAX_LOBES])]
-        width = max(one.shape[1] for one in maps) + 2
-        height = sum(one.shape[0] + 2 for one in maps)
-        atlas = np.zeros((height, width, 4), dtype="f4")
+    def _set_lobes(self, irradiance: Array32, lobes: dict[float, Lobe]) -> dict[str, object]:
+        """Stack the filtered maps in one texture, what is under the horizon beside what is over it, each with a border."""
+        pairs = [(irradiance, irradiance), *((lobe.above, lobe.below) for _, lobe in sorted(lobes.items())[:MAX_LOBES])]
+        width = max(left.shape[1] for left, _ in pairs) + 2
+        height = sum(left.shape[0] + 2 for left, _ in pairs)
+        atlas = np.zeros((height, 2 * width, 4), dtype="f4")
         cells, top = [], 0
-        for one in maps:
-            rows, columns = one.shape[:2]
-            cell = atlas[top:top + rows + 2, :columns + 2, :3]
-            cell[1:-1, 1:-1] = one
-            cell[0, 1:-1], cell[-1, 1:-1] = np.roll(one[0], columns // 2, axis=0), np.roll(one[-1], columns // 2, axis=0)
-            cell[:, 0], cell[:, -1] = cell[:, -2], cell[:, 1]
-            cells.append((columns / width, (top + 1) / height, rows / height))
+        for pair in pairs:
+            rows, columns = pair[0].shape[:2]
+            for side, one in enumerate(pair):
+                _bordered(one, atlas[top:top + rows + 2, side * width:side * width + columns + 2, :one.shape[2]])
+            cells.append((columns / (2 * width), (top + 1) / height, rows / height))
             top += rows + 2
         self._lobe_cells = dict(zip(sorted(lobes), cells[1:], strict=False))
         self._sharpest = cells[min(1, len(cells) - 1)]
         table = np.zeros((MAX_LOBES, 4))
         for index, (roughness, cell_uv) in enumerate(self._lobe_cells.items()):
             table[index] = (roughness, *cell_uv)
-        if self._lobe_atlas.size != (width, height):
+        if self._lobe_atlas.size != (2 * width, height):
             self._lobe_atlas.release()
-            self._lobe_atlas = self._context.texture((width, height), 4, "f4")
+            self._lobe_atlas = self._context.texture((2 * width, height), 4, "f4")
         self._lobe_atlas.write(atlas)
-        return {"lobe_count": len(self._lobe_cells), "lobe": table, "lobe_border": 1 / width, "irradiance_cell": cells[0]}
+        return {"lobe_count": len(self._lobe_cells), "lobe": table, "lobe_border": 0.5 / width, "irradiance_cell": cells[0]}
 
     def draw(self, view: View, objects: list[PlacedMesh]) -> Drawn:
         """Draw and shade the view's members."""
@@ -324,6 +335,7 @@ class ShadingStage:
     def reset(self) -> None:
         """The next light has nothing to do with the last one."""
         self._visibility.reset()
+        self.ground_missing.reset()
         for shaded in self._shaded.values():
             shaded.lit_by = None
 

@@ -40,7 +40,7 @@ def fitted_shape(mesh: Mesh) -> Shape:
     try:
         hull = float(ConvexHull(points).volume)
         share = hull / float(np.prod(extent))
-        is_convex = abs(sum(volume(p.positions, p.triangles) for p in mesh.primitives) - hull) < 0.01 * hull
+        is_convex = _is_closed(mesh) and abs(sum(volume(p.positions, p.triangles) for p in mesh.primitives) - hull) < 0.01 * hull
     except (QhullError, ValueError):    # flat
         share = 1.0
     kind = min(KINDS, key=lambda name: abs(_VOLUMES[name] - share))
@@ -49,6 +49,14 @@ def fitted_shape(mesh: Mesh) -> Shape:
     matrix[:3, :3] = np.diag(extent * scale)
     matrix[:3, 3] = (low + high) / 2
     return Shape(kind, matrix, is_convex)
+
+
+def _is_closed(mesh: Mesh) -> bool:
+    """Whether nothing seems to be cut out of the surface: its area vectors then sum to 0. A bowl has the hull of its outside, and
+    hides light from its inside all the same."""
+    corners = np.concatenate([p.positions[p.triangles] for p in mesh.primitives]).astype(np.float64)
+    areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return bool(np.linalg.norm(areas.sum(axis=0)) < 0.01 * np.linalg.norm(areas, axis=1).sum())
 
 
 def hit(kind: Kind, origins: Array, directions: Array) -> tuple[Array, Array]:

@@ -9,6 +9,7 @@ compensation for multiple scattering (Fdez-Aguera 2019).
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -23,6 +24,7 @@ MIN_ROUGHNESS = 0.2     # a narrower lobe is nearer to a mirror than to any map 
 ROUGHNESS_STEP = 1 / 128
 DFG_SIZE = 64
 ROWS, MOST_ROWS = ((0.95, 16), (0.49, 32)), 64     # of prefiltered maps, by the least roughness
+MIN_SHARE = 1e-4        # of a lobe under the horizon: less is no part of it
 _SUBSAMPLES = 3
 
 
@@ -45,15 +47,39 @@ def ggx_lobe(cos_angle: Floats, roughness: float) -> Floats:
     return np.asarray(np.maximum(cos_angle, 0.0) / (denominator * denominator))
 
 
-def prefilter_all(radiance: Floats, roughnesses: set[float]) -> dict[float, Array32]:
+@dataclass(frozen=True)
+class Lobe:
+    """One prefiltered map in two, because what is under the horizon may be near: (rows, 2 rows, 4) `above`, what the lobe about
+    each direction gets from over it, and the share of the lobe that is not; (rows, 2 rows, 3) `below`, the mean that this sees."""
+
+    above: Array32
+    below: Array32
+
+    @property
+    def whole(self) -> Array32:
+        """(rows, 2 rows, 3): the map as one."""
+        return np.asarray(self.above[..., :3] + self.above[..., 3:] * self.below)
+
+
+def prefilter_all(radiance: Floats, roughnesses: set[float]) -> dict[float, Lobe]:
     """Prefiltered maps for each of these roughness values; smaller maps are made from the next larger one."""
     lobes, source = {}, radiance
     for roughness in sorted(roughnesses):
         rows = map_rows(roughness)
         if rows < source.shape[0]:
             source = resample(source, rows, 2 * rows)
-        lobes[roughness] = prefilter(source, roughness)
+        lobes[roughness] = prefilter_split(source, roughness)
     return lobes
+
+
+def prefilter_split(radiance: Floats, roughness: float) -> Lobe:
+    """(height, width, 3) map as a GGX lobe of that roughness sees it over and under the horizon."""
+    rows = map_rows(roughness)
+    small = radiance if radiance.shape[:2] == (rows, 2 * rows) else resample(radiance, rows, 2 * rows)
+    kernel = _kernel(quantized_roughness(roughness), rows)
+    over, under = (filtered(small[part], kernel[:, :, part]) for part in (slice(0, rows // 2), slice(rows // 2, rows)))
+    share = np.broadcast_to(kernel[0, :, rows // 2:].sum(axis=1)[:, None, None], (rows, 2 * rows, 1))   # frequency 0: the sum
+    return Lobe(np.concatenate([over, share], axis=2), under / np.maximum(share, MIN_SHARE))
 
 
 def prefilter(radiance: Floats, roughness: float) -> Array32:
@@ -64,7 +90,7 @@ def prefilter(radiance: Floats, roughness: float) -> Array32:
 
 
 def filtered(radiance: Floats, kernel: Array32) -> Array32:
-    """(rows, columns, 3) map convolved with a kernel as `spectrum_of` gives it, on the same grid; never negative."""
+    """(rows in, columns, 3) map convolved with a kernel as `spectrum_of` gives it: (rows out, columns, 3), never negative."""
     spectrum = np.fft.rfft(radiance, axis=1).transpose(1, 0, 2)  # frequency, row, channel
     parts = np.concatenate([spectrum.real, spectrum.imag], axis=2).astype(np.float32)
     found = kernel @ parts
@@ -133,8 +159,7 @@ def _overlap(source: int, target: int) -> Array:
 
 @lru_cache(maxsize=1)
 def dfg_table() -> Array32:
-    """(DFG_SIZE roughness rows from 0 to 1, DFG_SIZE N.V columns, 4): scale A and bias B of F0 for one GGX lobe, F90 = 1;
-    d (A + B) / d alpha; 0.
+    """(DFG_SIZE roughness rows from 0 to 1, DFG_SIZE N.V columns, 2): scale A and bias B of F0 for one GGX lobe, F90 = 1.
 
     Importance-sampled with 512 stratified normals; height-correlated Smith shadowing.
     """
@@ -155,5 +180,4 @@ def dfg_table() -> Array32:
     weight = np.where(valid, 4 * visibility * n_dot_l * v_dot_h / cos_h, 0.0)
     fresnel = (1 - v_dot_h) ** 5
     scale, bias = ((1 - fresnel) * weight).mean(axis=2), (fresnel * weight).mean(axis=2)
-    slope = np.gradient(scale + bias, alpha[:, 0, 0], axis=0)
-    return np.stack([scale, bias, slope, np.zeros_like(slope)], axis=-1).astype(np.float32)
+    return np.stack([scale, bias], axis=-1).astype(np.float32)

@@ -20,6 +20,7 @@ uniform vec4 view_bounds;               // left, bottom, width, height on the ta
 uniform vec2 view_size;
 
 uniform vec3 light_direction[LIGHTS];
+uniform float light_below[LIGHTS];      // share of its disc that is under the horizon, on the ground
 uniform vec3 light_irradiance[LIGHTS];  // 0 for an unused entry
 uniform float light_radius[LIGHTS];
 uniform sampler2D light_visibility;     // a channel for each of the first four; one texel where all are visible everywhere
@@ -53,38 +54,69 @@ vec3 mirror_radiance(vec3 direction, vec3 step_x, vec3 step_y) {
     return mix(sum / max(taps * taps, 1.0), textureLod(radiance_map, uv_from_direction(direction), 0.0).rgb, coarse);
 }
 
-// `map`: u scale, v offset, v scale in the atlas.
-vec3 filtered_light(vec3 direction, vec3 map) {
-    vec2 uv = uv_from_direction(direction);
-    return textureLod(lobe_atlas, vec2(lobe_border + uv.x * map.x, map.y + uv.y * map.z), 0.0).rgb;
+// uv_from_direction to 2e-4 radians, a hundredth of a small map's texel, at a fraction of its cost: a minimax polynomial for the
+// arctangent, and acos by Hastings (Abramowitz & Stegun 4.4.45).
+vec2 coarse_uv(vec3 unit) {
+    vec2 size = abs(unit.xz);
+    float ratio = min(size.x, size.y) / max(max(size.x, size.y), 1e-12), square = ratio * ratio;
+    float azimuth = ratio * (1.0 + square * (-0.327622764 + square * (0.15931422 - square * 0.0464964749)));
+    azimuth = size.x > size.y ? 0.5 * PI - azimuth : azimuth;
+    azimuth = unit.z > 0.0 ? PI - azimuth : azimuth;
+    float y = min(abs(unit.y), 1.0), polar = sqrt(1.0 - y) * (1.5707288 + y * (-0.2121144 + y * (0.0742610 - y * 0.0187293)));
+    return vec2(0.5 + (unit.x < 0.0 ? -azimuth : azimuth) / (2.0 * PI), (unit.y < 0.0 ? PI - polar : polar) / PI);
+}
+
+// `map`: u scale, v offset, v scale in the atlas; `side`: 0.5 for what is under the horizon.
+vec4 atlas_light(vec3 direction, vec3 map, float side) {
+    vec2 uv = coarse_uv(direction);
+    return textureLod(lobe_atlas, vec2(side + lobe_border + uv.x * map.x, map.y + uv.y * map.z), 0.0);
+}
+
+vec3 filtered_light(vec3 direction, vec3 map) { return atlas_light(direction, map, 0.0).rgb; }
+
+// What a lobe sees: over the horizon what is far away, around `ray`; under it the ground, where the camera sees it in direction
+// `below`, `ratio` times as bright. `kept`: how much of that part the surface's own horizon leaves, compared with the other.
+struct Lobe { vec3 ray; vec3 below; vec3 ratio; float kept; };
+
+vec3 lobe_light(Lobe lobe, vec3 map) {
+    vec4 above = atlas_light(lobe.ray, map, 0.0);
+    float share = above.a * lobe.kept;
+    return (above.rgb + share * lobe.ratio * atlas_light(lobe.below, map, 0.5).rgb) / max(1.0 - above.a + share, 1e-3);
 }
 
 #if DETAILED
 // A textured roughness may have any value: between the maps below and above it.
-vec3 mixed_lobes(vec3 direction, float rough) {
+vec3 mixed_lobes(Lobe seen, float rough) {
     vec4 below = lobe[0], above = lobe[0];      // in rising order
     for (int i = 0; i < lobe_count; ++i) {
         if (lobe[i].x <= rough) below = lobe[i];
         above = above.x < rough ? lobe[i] : above;
     }
     float share = above.x > below.x ? clamp((rough - below.x) / (above.x - below.x), 0.0, 1.0) : 0.0;
-    return mix(filtered_light(direction, below.yzw), filtered_light(direction, above.yzw), share);
+    return mix(lobe_light(seen, below.yzw), lobe_light(seen, above.yzw), share);
 }
 #endif
 
-// Height-correlated Smith visibility times GGX. For a light of some size alpha is widened (Karis 2013), and with it the energy
-// that comes back in one bounce, so that a sky of such lights is a white furnace as well.
-float ggx_reflection(float n_dot_h, float n_dot_l, float n_dot_v, float alpha) {
-    float a2 = alpha * alpha;
-    float d = n_dot_h * n_dot_h * (a2 - 1.0) + 1.0;
-    float v = 0.5 / (n_dot_l * sqrt(n_dot_v * n_dot_v * (1.0 - a2) + a2) + n_dot_v * sqrt(n_dot_l * n_dot_l * (1.0 - a2) + a2));
-    return a2 / (PI * d * d) * v;
+// The mean of Smith's height-correlated visibility times GGX over a light's disc. In slopes of the half vector GGX is
+// a2 / (pi (t^2 + a2)^2), whose integral over a circle of radius R at distance t from the middle is
+// (1 - A / B) / 2, A = t^2 + a2 - R^2, B = sqrt(A^2 + 4 a2 R^2); a disc of radius r is such a circle with r^2 / (4 v.h n.h^3) for R^2.
+float ggx_disc(float n_dot_h, float v_dot_h, float n_dot_l, float n_dot_v, float alpha, float radius) {
+    float a2 = alpha * alpha, n2 = n_dot_h * n_dot_h;
+    float r2 = radius * radius / (4.0 * max(v_dot_h, 0.05) * n2 * n_dot_h);
+    float a = (1.0 - n2) / n2 + a2 - r2, b = sqrt(a * a + 4.0 * a2 * r2);
+    float d = 2.0 * a2 / (PI * max(b * (b + a), 1e-12) * n2 * n2);
+    return d * 0.5 / (n_dot_l * sqrt(n_dot_v * n_dot_v * (1.0 - a2) + a2) + n_dot_v * sqrt(n_dot_l * n_dot_l * (1.0 - a2) + a2));
 }
 
 // renderer/irradiance.py: a disc that sets behind the surface's own horizon fades.
 float disc_cosine(float cosine, float radius) {
     float s = max(sin(radius), 1e-6), rising = cosine + s;
     return cosine >= s ? cosine : (rising <= 0.0 ? 0.0 : rising * rising / (4.0 * s));
+}
+
+// What is far away on the ground fills less of the view than it did from the camera, in proportion to the height over the ground.
+float ground_foreshortening(vec3 position) {
+    return has_ground == 1 && ground_y < 0.0 ? max(position.y - ground_y, 0.0) / -ground_y : 1.0;
 }
 
 // A wide lobe does not point where a mirror would: shadowing and the horizon turn it towards the normal. Lagarde & de Rousiers 2014,
@@ -102,8 +134,11 @@ struct Surface { int object; vec3 normal; vec3 position; vec3 color; float metal
 
 const float ROUGH = 0.6;    // from here on a lobe sees so much at once that what is near dims it as it dims diffuse light
 
-// What a reflected ray meets. `direction`: where the camera would see it; `light` replaces a share of `hidden` of what comes from there.
-struct Reflection { vec3 direction; vec3 ratio; vec3 light; float hidden; };
+// Of the ground, for a narrower lobe.
+vec3 ground_dimming(Surface s) { return s.roughness < ROUGH ? s.nearby : vec3(1.0); }
+
+// What a reflected lobe meets: far away and on the ground; `light` replaces a share of `hidden` of what comes from there.
+struct Reflection { Lobe lobe; vec3 light; float hidden; };
 
 #if HAS_REFLECTIONS
 #include "reflections.glsl"
@@ -115,14 +150,26 @@ vec3 seen_direction(vec3 from, vec3 ray) {
     return normalize(from + ray * ((ground_y - from.y) / ray.y));
 }
 
+// The middle of what of a lobe is under the horizon: its axis where all is, a lobe's half width down where only its edge is.
+vec3 lowered(vec3 ray, float alpha) {
+    return normalize(vec3(ray.x, 0.5 * (ray.y - sqrt(ray.y * ray.y + 4.0 * alpha * alpha)) - 1e-3, ray.z));
+}
+
+Lobe lobe_from(vec3 position, vec3 normal, vec3 ray, float alpha, vec3 ratio) {
+    vec3 down = lowered(ray, alpha);
+    float kept = clamp(dot(normal, down) / max(dot(normal, ray), 1e-3), 0.0, 1.0);
+    return Lobe(ray, seen_direction(position, down), ratio, has_ground == 1 ? kept : 1.0);
+}
+
 #if HAS_REFLECTIONS
 vec3 solid_radiance(int index, vec3 at, vec3 ray, float blur) {
     mat3 linear = mat3(unit_from_world[index]);
     vec3 normal = normalize(unit_normal(int(solid_kind[index].x), (unit_from_world[index] * vec4(at, 1.0)).xyz) * linear);
     vec3 e = filtered_light(normal, irradiance_cell);
-    for (int i = 0; i < LIGHTS; ++i) e += light_irradiance[i] * max(dot(normal, light_direction[i]), 0.0);
-    vec3 onward = seen_direction(at, reflect(ray, normal));
-    vec3 reflected = filtered_light(onward, solid_lobe[index]);
+    float flatter = ground_foreshortening(at);
+    for (int i = 0; i < LIGHTS; ++i)
+        e += light_irradiance[i] * (max(dot(normal, light_direction[i]), 0.0) * mix(1.0, flatter, light_below[i]));
+    vec3 reflected = lobe_light(lobe_from(at, normal, reflect(ray, normal), blur, vec3(1.0)), solid_lobe[index]);
     float metallic = solid_kind[index].y;
     vec3 color = solid_color[index].rgb, f0 = mix(vec3(0.04), color, metallic);
     return color * (1.0 - metallic) * e / PI + f0 * mix(reflected, e / PI, solid_kind[index].z * smoothstep(0.05, 0.5, blur));
@@ -130,13 +177,13 @@ vec3 solid_radiance(int index, vec3 at, vec3 ray, float blur) {
 
 Reflection reflection(Surface s, vec3 ray) {
     bool sharp = s.roughness < ROUGH && s.metallic > 0.5;   // of others not enough is seen
-    Reflection found = Reflection(ray, sharp ? vec3(1.0) : s.nearby, vec3(0.0), 0.0);
     float nearest = 1e9, spread = s.roughness * s.roughness;
-    if (has_ground == 1 && ray.y < -1e-4 && s.position.y > ground_y) {
-        nearest = (ground_y - s.position.y) / ray.y;
-        vec3 at = s.position + ray * nearest;
-        found.direction = normalize(at);
-        if (sharp) found.ratio = ground_ratio(at, 2.0 * spread * nearest);
+    Reflection found = Reflection(lobe_from(s.position, s.normal, ray, spread, sharp ? vec3(1.0) : ground_dimming(s)), vec3(0.0), 0.0);
+    if (has_ground == 1 && s.position.y > ground_y) {
+        vec3 down = lowered(ray, spread);
+        float away = (ground_y - s.position.y) / down.y;
+        if (ray.y < -1e-4) nearest = (ground_y - s.position.y) / ray.y;
+        if (sharp) found.lobe.ratio = ground_ratio(s.position + down * away, 2.0 * spread * away);
     }
     int met = -1;
     float met_blur = 0.0;
@@ -163,9 +210,12 @@ Reflection reflection(Surface s, vec3 ray) {
     return found;
 }
 #elif HAS_RINGS
-Reflection reflection(Surface s, vec3 ray) { return Reflection(ray, vec3(1.0), vec3(0.0), 0.0); }   // the frame is all that the papers see
+// the frame is all that the papers see
+Reflection reflection(Surface s, vec3 ray) { return Reflection(Lobe(ray, ray, vec3(1.0), 1.0), vec3(0.0), 0.0); }
 #else
-Reflection reflection(Surface s, vec3 ray) { return Reflection(seen_direction(s.position, ray), s.nearby, vec3(0.0), 0.0); }
+Reflection reflection(Surface s, vec3 ray) {
+    return Reflection(lobe_from(s.position, s.normal, ray, s.roughness * s.roughness, ground_dimming(s)), vec3(0.0), 0.0);
+}
 #endif
 
 vec3 shade(Surface s, vec3 view, vec3 mirror_ray, vec3 step_x, vec3 step_y, vec4 visible) {
@@ -174,42 +224,46 @@ vec3 shade(Surface s, vec3 view, vec3 mirror_ray, vec3 step_x, vec3 step_y, vec4
     bool mirror = HAS_MIRRORS == 1 && s.roughness < mirror_below;
     vec3 f0 = mix(vec3(0.04), s.color, s.metallic);
     float rows = float(textureSize(dfg_table, 0).y);
-    vec3 ab = textureLod(dfg_table, vec2(n_dot_v, (s.roughness * (rows - 1.0) + 0.5) / rows), 0.0).rgb;
+    vec2 ab = textureLod(dfg_table, vec2(n_dot_v, (s.roughness * (rows - 1.0) + 0.5) / rows), 0.0).rg;
     float whole = ab.x + ab.y;
     vec3 compensation = 1.0 + f0 * (1.0 / max(whole, 1e-3) - 1.0);
     // what reflects nothing at the normal does not at the rim either
     vec3 reflectance = (f0 * ab.x + ab.y * clamp(50.0 * max(f0.r, max(f0.g, f0.b)), 0.0, 1.0)) * compensation;
 
     Reflection met = reflection(s, mirror_ray);
-    vec3 reflected = met.direction, mirrored = vec3(0.0);
+    vec3 mirrored = vec3(0.0);
 #if HAS_RINGS
-    for (int once = mirror ? 0 : 1; once > 0; --once) mirrored = ring_light(reflected, s.roughness);
+    for (int once = mirror ? 0 : 1; once > 0; --once) mirrored = ring_light(mirror_ray, s.roughness);
 #elif HAS_LOBES
 #if DETAILED
-    mirrored = mixed_lobes(reflected, s.roughness);
+    mirrored = mixed_lobes(met.lobe, s.roughness);
 #else
-    mirrored = filtered_light(reflected, s.lobe);
+    mirrored = lobe_light(met.lobe, s.lobe);
 #endif
 #endif
 #if HAS_MIRRORS
     // a loop, because a software renderer runs both sides of an if but leaves a loop that no pixel enters
-    for (int once = mirror ? 1 : 0; once > 0; --once) mirrored = mirror_radiance(reflected, step_x, step_y);
+    for (int once = mirror ? 1 : 0; once > 0; --once) {
+        bool down = mirror_ray.y < 0.0;
+        mirrored = mirror_radiance(down ? met.lobe.below : mirror_ray, step_x, step_y) * (down ? met.lobe.ratio : vec3(1.0));
+    }
 #endif
-    vec3 glossy = (reflectance * s.open) * mix(mirrored * met.ratio, met.light, met.hidden);
+    vec3 dimming = s.roughness < ROUGH ? vec3(1.0) : s.nearby;
+    vec3 glossy = (reflectance * s.open) * mix(mirrored * dimming, met.light, met.hidden);
     vec3 e = filtered_light(s.normal, irradiance_cell) * (s.nearby * s.open);
+    float flatter = ground_foreshortening(s.position);
     for (int i = 0; i < LIGHTS; ++i) {
-        vec3 l = light_direction[i], h = normalize(l + view);
-        float n_dot_l = disc_cosine(dot(s.normal, l), light_radius[i]), away = 1.0 - clamp(dot(view, h), 0.0, 1.0);
-        float away2 = away * away;
-        float widened = min(1.0, alpha + 0.5 * light_radius[i]);
-        float spread = ggx_reflection(clamp(dot(s.normal, h), 0.0, 1.0), n_dot_l, n_dot_v, widened);
-        vec3 recovered = 1.0 + f0 * (1.0 / max(whole + ab.z * (widened - alpha), 1e-3) - 1.0);
+        float cosine = dot(s.normal, light_direction[i]), between = 1.0 + dot(view, light_direction[i]);
+        float shorten = inversesqrt(max(2.0 * between, 1e-6));      // of light and view added up, which is the half vector
+        float n_dot_l = disc_cosine(cosine, light_radius[i]), n_dot_h = clamp((cosine + n_dot_v) * shorten, 0.01, 1.0);
+        float v_dot_h = min(between * shorten, 1.0), away = 1.0 - v_dot_h, away2 = away * away;
+        float spread = ggx_disc(n_dot_h, v_dot_h, n_dot_l, n_dot_v, alpha, light_radius[i]);
         vec3 fresnel = f0 + (1.0 - f0) * (away2 * away2 * away);
-        vec3 arriving = light_irradiance[i] * (n_dot_l * visible.x);
+        vec3 arriving = light_irradiance[i] * (n_dot_l * visible.x * mix(1.0, flatter, light_below[i]));
         visible = vec4(visible.yzw, 1.0);
         e += arriving;
         // what a mirror shows of the light is in the frame already
-        glossy += mirror ? vec3(0.0) : arriving * fresnel * recovered * spread;
+        glossy += mirror ? vec3(0.0) : arriving * fresnel * compensation * spread;
     }
     return s.color * (1.0 - s.metallic) * (1.0 - reflectance) * e / PI + glossy + s.emissive;
 }

@@ -2,7 +2,7 @@
 // fragment shader for 4 x 4 pixels of every triangle, however small.
 in vec3 world_position;
 in vec3 world_normal;
-in float open_share;
+in vec2 open_share;             // in front and behind
 
 uniform float camera_y;                 // 0 but for the camera's mirror image in the ground
 uniform float surface_index;            // row of the table of surfaces, from 1; 0 is nothing
@@ -37,7 +37,7 @@ vec3 mapped_normal(vec3 normal) {
 
 void main() {
     vec3 normal = normalize(gl_FrontFacing ? world_normal : -world_normal);
-    float occluded = 1.0 - open_share;
+    float occluded = 1.0 - (gl_FrontFacing ? open_share.x : open_share.y);
 #if DETAILED
     vec4 color = material_color(BIAS);
     if (is_hole(color.a)) discard;

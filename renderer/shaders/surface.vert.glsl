@@ -6,8 +6,8 @@ uniform float clip_below_y;     // the ground hides what is under it
 
 in vec3 position;
 in vec3 normal;
-in float openness;              // of the vertex to the light around, past the mesh itself
-out float open_share;
+in vec2 openness;               // of the vertex to the light around, past the mesh itself, in front and behind
+out vec2 open_share;
 out vec3 world_position;
 out vec3 world_normal;
 #if DETAILED

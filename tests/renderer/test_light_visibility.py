@@ -183,3 +183,21 @@ def test_what_is_drawn_stays_until_light_or_objects_move(context: Context, monke
     moved = objects(BALL, {**post, "position": [1.1, -0.4, -3]})
     assert [drawings(moved, 92.0), drawings(moved, 92.0)] == [1, 0]
     pipeline.release()
+
+
+def test_each_light_has_its_own_shadows(drawn: Drawn) -> None:
+    """The wall hides one of two lights from the ball; which of them is the stronger makes no difference."""
+    flat = RadianceFrame(np.zeros((256, 512, 3), np.float32))
+
+    def shown(*lights: Light) -> np.ndarray:
+        black = np.zeros((32, 64, 3))
+        light = FrameLight(Detection(lights, black, black, 0.0), np.zeros((25, 3)), black.astype(np.float32),
+                           black.astype(np.float32))
+        return drawn(objects(BALL, WALL), flat, light)[0]
+
+    behind_wall = Light(direction(90, 10), np.full(3, 5.0), np.radians(1), id=1)
+    free = Light(direction(180, 10), np.full(3, 4.0), np.radians(1), id=2)
+    one_by_one = shown(behind_wall) + shown(free)
+    assert np.abs(one_by_one).max() > 0.5
+    assert shown(behind_wall, free) == pytest.approx(one_by_one, abs=0.01)
+    assert shown(free, behind_wall) == pytest.approx(one_by_one, abs=0.01)

@@ -134,3 +134,16 @@ def test_twenty_objects_reflect_their_nearest_neighbours(context: Context) -> No
     mask, at, rays = ball_pixels()
     meets = meets_box(at, rays)
     assert (found[mask][meets][:, 0] / found[mask][meets][:, 1] > 2.0).mean() > 0.9
+
+
+def test_after_a_cut_the_grounds_shadow_is_the_new_lights(context: Context) -> None:
+    """The reflected picture of the ground may be some frames late, but not across a cut."""
+    wanted, size = scene(BALL), SIZE
+    cut_to = sky_with_sun(-60, 50, size=size, sun=4000.0)
+    pipeline = Pipeline(context, RadianceFrame, size)
+    pipeline.render(sky_with_sun(60, 50, size=size, sun=4000.0), wanted)
+    pipeline.reset()
+    after = pipeline.render(cut_to, wanted).frame
+    pipeline.release()
+    assert isinstance(after, RadianceFrame)
+    assert after.rgb == pytest.approx(picture(context, cut_to, wanted), abs=1e-3)
