@@ -15,6 +15,7 @@ from renderer.gl import Context, release_all
 from renderer.gpu_mesh import PlacedMesh
 from renderer.inverse_tone_mapping import WEIGHTS
 from renderer.irradiance import disc_cosine, irradiance
+from renderer.light_change import hardly_changed
 from renderer.light_detection import MAX_LIGHTS, Light
 from renderer.light_reading import FrameLight
 from renderer.light_shadows import LightShadowStage
@@ -34,6 +35,7 @@ from renderer.timings import Timings
 
 Array = NDArray[np.float64]
 UP = np.array([0.0, 1.0, 0.0])
+SETTLED_READINGS = 10      # of the same light: shadows are drawn finely and near fields fitted to it, one after another
 MIN_GROUND_SHARE = 0.02    # of the ground's irradiance; weaker lights cast no visible shadow
 
 
@@ -61,6 +63,9 @@ class SceneLightStage:
         self._surroundings = Surroundings()
         self._catchers: CatcherStage | None = None      # made when it is first wanted
         self._last: LitScene | None = None
+        self._given: FrameLight | None = None
+        self._reference: FrameLight | None = None       # the light that has stayed the same
+        self._unchanged = 0                             # for so many readings
         self._illuminations = 0
 
     @property
@@ -74,9 +79,11 @@ class SceneLightStage:
     def run(self, scene: Scene, light: FrameLight, placement: Placement, rings: moderngl.Texture | None,
             timings: Timings) -> LitScene:
         """Light a placed scene. `rings`: the frame with mip levels where the papers' glossy method is in use."""
-        if self._last is not None and self._last.light is light and self._last.placement is placement and (
-                self._last.lighting == scene.lighting):
-            return self._last
+        last, is_new = self._last, light is not self._given
+        if last is not None and not is_new and last.placement is placement and last.lighting == scene.lighting:
+            return last
+        self._given = light
+        light = self._held(light, placement, is_new=is_new)
         with timings.stage("glossy"):
             if self._only_poses_differ(scene, light, placement):
                 self._shading.set_receivers(*self._receivers(scene, placement))
@@ -91,6 +98,15 @@ class SceneLightStage:
         self._surfaces.keep([*placement.views, *placement.mirrored, *(catchers.views if catchers is not None else ())])
         self._last = LitScene(light, scene.lighting, placement, ground, maps, ambient, catchers)
         return self._last
+
+    def _held(self, light: FrameLight, placement: Placement, *, is_new: bool) -> FrameLight:
+        """The last light instead of this one, if nothing moves and it has stayed the same for so long that all is settled."""
+        last, reference = self._last, self._reference
+        if last is None or reference is None or not placement.is_later_than(last.placement) or not hardly_changed(reference, light):
+            self._reference, self._unchanged = light, 0
+            return light
+        self._unchanged += is_new
+        return last.light if self._unchanged > max(SETTLED_READINGS, 2 * len(placement.objects)) else light
 
     def _only_poses_differ(self, scene: Scene, light: FrameLight, placement: Placement) -> bool:
         """From what the last illumination was made for."""
@@ -177,6 +193,7 @@ class SceneLightStage:
 
     def reset(self) -> None:
         """The next light has nothing to do with the last one."""
+        self._reference = None
         self._surroundings.reset()
         self._light_shadows.reset()
         if self._catchers is not None:
