@@ -112,6 +112,7 @@ class Pipeline:
         with timings.stage("upload"):
             self._panorama.write(frame, only_packed=not (rings or any(map(may_mirror, placement.objects.values()))))
             self._panorama.use()
+        self._shading.is_patient = light is not None
         if light is None:
             light = self._light(timings, moment, scene.lighting)
         if rings:

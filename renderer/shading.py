@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import moderngl
@@ -19,6 +19,7 @@ from renderer.mesh import Surface
 from renderer.near_field import FUNCTIONS, Fit
 from renderer.panorama import PanoramaTextures
 from renderer.placement import View
+from renderer.shading_turns import MIN_PIXELS, SHARE, LitBy, Turns
 from renderer.shapes import KINDS
 from renderer.specular import MIN_ROUGHNESS, Array32, Lobe, dfg_table, quantized_roughness
 from renderer.surfaces import FIRST_UNIT, MAX_SURFACES, SurfaceStage, ViewTarget
@@ -49,7 +50,7 @@ class Illumination:
 
 
 class Shading(NamedTuple):
-    """What a view's pixels need; each combination in use is a program of its own."""
+    """What an object's pixels need; each combination in use is a program of its own."""
 
     detailed: bool
     lights: int
@@ -58,20 +59,20 @@ class Shading(NamedTuple):
     reflects: bool      # what stands around
     rings: bool = False
 
-    @property
-    def shows_frame(self) -> bool:
-        """Whether every frame needs shading of its own, even if neither light nor surfaces have changed."""
-        return self.mirrors or self.rings
-
 
 @dataclass
 class _Shaded:
     """What the picture in a view's target was made from."""
 
     table: moderngl.Texture
-    table_of: int | None = None             # numbers of the illumination
-    lit_by: tuple[int, int] | None = None   # and of the lights' visibility
-    times: int = 0                          # that it was made
+    table_of: int | None = None             # number of the illumination
+    turns: Turns = field(default_factory=Turns)
+    rectangles: dict[int, tuple[int, int, int, int]] = field(default_factory=dict)      # of each object, by its index
+    times: int = 0                          # that it was changed
+
+    def costs(self) -> dict[int, int]:
+        """Pixels of each object's rectangle."""
+        return {index: width * height for index, (_, _, width, height) in self.rectangles.items()}
 
 
 class Drawn(NamedTuple):
@@ -91,7 +92,7 @@ def may_mirror(placed: PlacedMesh) -> bool:
 def _pixels(view: View, placed: PlacedMesh) -> tuple[int, int, int, int]:
     """The rectangle of a view, x, y, width, height, that an object covers in it."""
     local = placed.outline() @ view.rotation.T
-    if view.cube_axis >= 0 or (local[:, 2] <= 0).any():
+    if view.cube_axis >= 0 or view.mirror_y is not None or (local[:, 2] <= 0).any():
         return (0, 0, *view.size)
     left, right, bottom, top = view.bounds
     at = (local[:, :2] / local[:, 2:] - [left, bottom]) / [right - left, top - bottom] * view.size
@@ -131,6 +132,8 @@ class ShadingStage:
         self._lobe_atlas = context.texture((1, 1), 4, "f4")
         self._uniforms: dict[str, object] = {}
         self._illumination: Illumination | None = None
+        self.is_patient = False     # whether objects may wait a few frames for a light that has changed
+        self._set_for: dict[Shading, View] = {}     # whose uniforms each program has
         self._slots = LIGHT_SLOTS[0]
         self._lobe_cells: dict[float, tuple[float, float, float]] = {}
         self._sharpest = (0.0, 0.0, 0.0)
@@ -147,6 +150,7 @@ class ShadingStage:
     def set_illumination(self, illumination: Illumination) -> None:
         """Take over one frame's light."""
         self._illumination = illumination
+        self._set_for.clear()
         lights = illumination.lights[:LIGHT_SLOTS[-1]]
         self._slots = next(slots for slots in LIGHT_SLOTS if slots >= len(lights))
         directions, irradiances, radii = np.zeros((self._slots, 3)), np.zeros((self._slots, 3)), np.zeros(self._slots)
@@ -172,6 +176,7 @@ class ShadingStage:
 
     def set_receivers(self, receivers: tuple[Receiver, ...], occluders: tuple[Receiver, ...]) -> None:
         """The same objects as they stand now, under the same light."""
+        self._set_for.clear()
         if self._illumination is not None:
             self._illumination = replace(self._illumination, receivers=receivers, occluders=occluders)
 
@@ -205,32 +210,33 @@ class ShadingStage:
         assert target.silhouette.texture is not None
         return Drawn(view, target.texture, target.silhouette.texture, target.silhouette.uv_from_tangent())
 
-    def picture(self, view: View, objects: list[PlacedMesh], *, ahead: bool = False) -> tuple[ViewTarget, int]:
-        """The target with the view's members drawn and shaded, and how often it has been: another number for another picture.
-        `ahead` of the frame that mirrors would show they may keep the last one."""
-        members = [objects[index] for index in view.members]
-        target, shaded, kind = self._prepared(view, members)
-        visibility, number = self._light_visibility(view, target)
-        # what no mirror shows is the same for as long as light and surfaces are
-        lit_by = (0 if self._illumination is None else self._illumination.number, number)
-        if shaded.lit_by != lit_by or kind.rings:
-            self._shade(view, target, kind, visibility)
-            shaded.lit_by = lit_by
-            shaded.times += 1
-        elif kind.mirrors and not ahead:
-            whole = view.mirror_y is not None
-            self._shade(view, target, kind, visibility,
-                        None if whole else [_pixels(view, item) for item in members if may_mirror(item)])
-            shaded.times += 1
+    def picture(self, view: View, objects: list[PlacedMesh]) -> tuple[ViewTarget, int]:
+        """The target with the view's members drawn and shaded, and how often it has been: another number for another picture."""
+        target, shaded = self._prepared(view, objects)
+        visibility, lit_by = self._lit_by(view, target)
+        due = shaded.turns.now(shaded.costs(), lit_by, patient=self.is_patient)
+        due += [index for index in view.members if index not in due and (may_mirror(objects[index]) or self._has_rings)]
+        self._shade(view, target, visibility, objects, due)
         return target, shaded.times
 
     def draw_still(self, views: list[View], objects: list[PlacedMesh]) -> None:
-        """Draw, ahead of the next frame, what does not depend on it."""
-        for view in views:
-            self.picture(view, objects, ahead=True)
+        """Draw and shade, ahead of the next frame, what does not depend on it, or some of it; mirrors keep what they show."""
+        prepared = sorted(((view, *self._prepared(view, objects)) for view in views), key=lambda one: -one[2].turns.waited)
+        pixels = max(SHARE * sum(sum(shaded.costs().values()) for _, _, shaded in prepared), MIN_PIXELS)
+        for view, target, shaded in prepared:
+            visibility, lit_by = self._lit_by(view, target)
+            due = shaded.turns.ahead(shaded.costs(), lit_by, pixels if self.is_patient else np.inf)
+            pixels -= sum(shaded.costs()[index] for index in due)
+            self._shade(view, target, visibility, objects, due)
 
-    def _prepared(self, view: View, members: list[PlacedMesh]) -> tuple[ViewTarget, _Shaded, Shading]:
-        """The view's target with its surfaces drawn, and how they are to be shaded."""
+    def _lit_by(self, view: View, target: ViewTarget) -> tuple[moderngl.Texture, LitBy]:
+        """What no mirror shows is the same for as long as light and surfaces are."""
+        visibility, number = self._light_visibility(view, target)
+        return visibility, (0 if self._illumination is None else self._illumination.number, number)
+
+    def _prepared(self, view: View, objects: list[PlacedMesh]) -> tuple[ViewTarget, _Shaded]:
+        """The view's target with its members' surfaces drawn, and how far it is shaded."""
+        members = [objects[index] for index in view.members]
         hiding = () if self._illumination is None else self._illumination.occluders
         target, is_new = self._surfaces.drawn(view, members, tuple(item.placed for item in hiding))
         if target not in self._shaded:
@@ -239,16 +245,26 @@ class ShadingStage:
         number = None if self._illumination is None else self._illumination.number
         if is_new or shaded.table_of != number:
             self._write_table(target, shaded.table)
-            shaded.table_of, shaded.lit_by = number, None
-        detailed = any(item.is_detailed for item in members)
-        roughnesses = [surface.roughness for surface, _ in target.surfaces]
-        glossy = detailed or max(roughnesses) >= MIRROR_BELOW
-        rings = self._illumination is not None and self._illumination.rings is not None
-        return target, shaded, Shading(
-            detailed, self._slots, lobes=glossy and bool(self._lobe_cells),
-            mirrors=any(map(may_mirror, members)),
+            shaded.table_of = number
+        if is_new:
+            shaded.turns = Turns()
+            shaded.rectangles = {index: _pixels(view, objects[index]) for index in view.members}
+            target.shaded.use()
+            target.shaded.clear()
+        return target, shaded
+
+    @property
+    def _has_rings(self) -> bool:
+        return self._illumination is not None and self._illumination.rings is not None
+
+    def _kind(self, target: ViewTarget, item: PlacedMesh) -> Shading:
+        """What an object's pixels need."""
+        detailed = len(target.samples) > 1
+        return Shading(
+            detailed, self._slots, lobes=(detailed or max(item.roughnesses) >= MIRROR_BELOW) and bool(self._lobe_cells),
+            mirrors=may_mirror(item), rings=self._has_rings,
             # the papers reflect the distant frame alone, in mirrors too
-            reflects=not rings and (detailed or any(is_sharp(surface) for surface, _ in target.surfaces)), rings=rings)
+            reflects=not self._has_rings and (item.is_detailed or any(map(is_sharp, item.surfaces))))
 
     def _write_table(self, target: ViewTarget, table: moderngl.Texture) -> None:
         """A row for each surface, from row 1."""
@@ -268,13 +284,14 @@ class ShadingStage:
         illumination = self._illumination
         if illumination is None:
             return
-        target, shaded, _ = self._prepared(view, [objects[index] for index in view.members])
+        target, shaded = self._prepared(view, objects)
         for slots in LIGHT_SLOTS:
             self.set_illumination(replace(illumination, lights=(Light(np.array([0.0, 1.0, 0.0]), np.ones(3), 0.01),) * slots))
-            for lobes, mirrors, reflects in ((True, False, False), (True, False, True), (False, True, True), (True, True, True)):
-                self._shade(view, target, Shading(False, slots, lobes, mirrors, reflects), self._visibility.all_visible)
+            for lobes, mirrors, reflects in ((True, False, False), (True, False, True), (False, True, True)):
+                self._shade_one(view, target, Shading(False, slots, lobes, mirrors, reflects), self._visibility.all_visible,
+                                view.members[0], (0, 0, *view.size))
         self.set_illumination(illumination)
-        shaded.lit_by = None
+        shaded.turns = Turns()
 
     def _light_visibility(self, view: View, target: ViewTarget) -> tuple[moderngl.Texture, int]:
         light = self._illumination
@@ -282,13 +299,21 @@ class ShadingStage:
             return self._visibility.all_visible, 0
         return self._visibility.texture(target, view, (*light.receivers, *light.occluders), light.lights)
 
-    def _shade(self, view: View, target: ViewTarget, kind: Shading, visibility: moderngl.Texture,
-               only: list[tuple[int, int, int, int]] | None = None) -> None:
-        """The whole view, or `only` some rectangles of it."""
+    def _shade(self, view: View, target: ViewTarget, visibility: moderngl.Texture, objects: list[PlacedMesh],
+               due: list[int]) -> None:
+        shaded = self._shaded[target]
+        for index in due:
+            self._shade_one(view, target, self._kind(target, objects[index]), visibility, index, shaded.rectangles[index])
+        shaded.times += bool(due)
+
+    def _shade_one(self, view: View, target: ViewTarget, kind: Shading, visibility: moderngl.Texture, member: int,
+                   rectangle: tuple[int, int, int, int]) -> None:
+        """One object of a view, which lies in a rectangle of it."""
+        rows = [row for row, (_, index) in enumerate(target.surfaces, start=1) if index == member]
+        if not rows:        # too many surfaces in one view
+            return
         program, triangle = self._shading_program(kind)
         target.shaded.use()
-        if view.mirror_y is not None:
-            target.shaded.clear()       # it is blurred, with what is beside the view
         target.shaded.viewport = (0, 0, *view.size)
         self._panorama.bind(program)
         textures = {"radiance_map": self._radiance_texture, "dfg_table": self._dfg, "lobe_atlas": self._lobe_atlas,
@@ -296,19 +321,24 @@ class ShadingStage:
                     "ground_missing": self.ground_missing.texture,
                     **({"ring_map": self._illumination.rings} if kind.rings and self._illumination else {}),
                     **dict(zip(("geometry", "color_metallic", "emissive_roughness"), target.samples, strict=False))}
-        for unit, (name, texture) in enumerate(textures.items(), start=FIRST_UNIT):
+        for unit, texture in enumerate(textures.values(), start=FIRST_UNIT):
             texture.use(unit)
-            set_uniforms(program, {name: unit})
+        if self._set_for.get(kind) is not view:
+            self._set_for[kind] = view
+            self._set_uniforms(program, view, {name: unit for unit, name in enumerate(textures, start=FIRST_UNIT)})
+        set_uniforms(program, {"ground_missing_rect": self.ground_missing.rect, "surface_range": (min(rows), max(rows)),
+                               "has_light_visibility": int(visibility is not self._visibility.all_visible)})
+        target.shaded.scissor = rectangle
+        triangle.render(moderngl.TRIANGLES, 3)
+        target.shaded.scissor = (0, 0, *target.texture.size)
+
+    def _set_uniforms(self, program: moderngl.Program, view: View, units: dict[str, int]) -> None:
+        """All that is the same for the objects of a view."""
         left, right, bottom, top = view.bounds
-        set_uniforms(program, self._solids(view) | {"ground_missing_rect": self.ground_missing.rect})
-        set_uniforms(program, {"has_light_visibility": int(visibility is not self._visibility.all_visible)})
-        set_uniforms(program, {**self._uniforms, "world_from_view": view.axes,  # GL reads rows as columns: the transpose
+        set_uniforms(program, {**units, **self._solids(view), **self._uniforms,
+                               "world_from_view": view.axes,  # GL reads rows as columns: the transpose
                                "camera_y": view.camera_y,
                                "view_bounds": (left, bottom, right - left, top - bottom), "view_size": view.size})
-        for rectangle in only or [(0, 0, *view.size)]:
-            target.shaded.scissor = rectangle
-            triangle.render(moderngl.TRIANGLES, 3)
-        target.shaded.scissor = (0, 0, *target.texture.size)
 
     def _solids(self, view: View) -> dict[str, object]:
         """The objects nearest to a view's members, which they may reflect."""
@@ -337,7 +367,7 @@ class ShadingStage:
         self._visibility.reset()
         self.ground_missing.reset()
         for shaded in self._shaded.values():
-            shaded.lit_by = None
+            shaded.turns = Turns()
 
     def release(self) -> None:
         release_all(*(shaded.table for shaded in self._shaded.values()), self._lobe_atlas, self._dfg, self._visibility,

@@ -18,6 +18,7 @@ uniform mat3 world_from_view;           // columns: right, up, forward
 uniform float camera_y;                 // 0 but for the camera's mirror image in the ground
 uniform vec4 view_bounds;               // left, bottom, width, height on the tangent plane
 uniform vec2 view_size;
+uniform ivec2 surface_range;            // first and last surface of the object that is shaded
 
 uniform vec3 light_direction[LIGHTS];
 uniform float light_below[LIGHTS];      // share of its disc that is under the horizon, on the ground
@@ -328,7 +329,9 @@ void main() {
     vec3 step_x = dFdx(mean_reflected), step_y = dFdy(mean_reflected);
     vec4 visible = texelFetch(light_visibility, has_light_visibility * ivec2(gl_FragCoord.xy), 0);
     vec3 total = vec3(0.0);
-    int count = far.weight > 0.0 ? 2 : (near.weight > 0.0 ? 1 : 0);     // pixels without an object cost nothing
+    bool own = near.weight > 0.0 && int(near.first.a) >= surface_range.x && int(near.first.a) <= surface_range.y;
+    int count = own ? (far.weight > 0.0 ? 2 : 1) : 0;     // pixels without the object cost nothing
+    if (!own) discard;
     for (int i = 0; i < count; ++i) {
         Group group = i == 0 ? near : far;
         Surface s = surface_at(group.sample_sum.rgb / group.members, group.first.a,

@@ -52,13 +52,13 @@ def test_what_counts_as_a_change(pipeline: Pipeline) -> None:
 
 def test_a_light_that_stays_is_not_shaded_again(pipeline: Pipeline, monkeypatch: pytest.MonkeyPatch) -> None:
     shaded: list[int] = []
-    shade = ShadingStage._shade
+    shade = ShadingStage._shade_one
 
     def counted(self: ShadingStage, *given: Any, **named: Any) -> None:
         shaded.append(1)
         shade(self, *given, **named)
 
-    monkeypatch.setattr(ShadingStage, "_shade", counted)
+    monkeypatch.setattr(ShadingStage, "_shade_one", counted)
     placed, frame = scene(BALL), sky_with_sun(30, 50, size=SIZE)
     random = np.random.default_rng(1)
     counts = []

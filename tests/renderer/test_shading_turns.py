@@ -1,0 +1,42 @@
+"""Who is shaded when: what is new at once, the rest in turn, and nobody for ever left out."""
+
+from __future__ import annotations
+
+from renderer.shading_turns import Turns
+
+MEMBERS = {0: 1000, 1: 2000, 2: 1500}
+
+
+def test_what_is_new_never_waits() -> None:
+    turns = Turns()
+    assert turns.ahead(MEMBERS, (1, 0), 0) == [0, 1, 2]
+    assert turns.ahead(MEMBERS, (1, 0), 0) == []
+    assert turns.ahead({**MEMBERS, 5: 10**9}, (1, 0), 0) == [5]
+
+
+def test_those_that_waited_longest_come_first() -> None:
+    turns = Turns()
+    turns.ahead(MEMBERS, (1, 0), 0)
+    served = [turns.ahead(MEMBERS, (number, 0), 3000) for number in range(2, 8)]
+    assert served[:3] == [[0, 1], [2, 0], [1]]
+    assert all(set(served[i] + served[i + 1] + served[i + 2]) == {0, 1, 2} for i in range(4))
+
+
+def test_an_object_that_nothing_pays_for_says_so() -> None:
+    turns = Turns()
+    turns.ahead(MEMBERS, (1, 0), 0)
+    for waited in (1, 2, 3):
+        assert turns.ahead(MEMBERS, (2, 0), 900) == []
+        assert turns.waited == waited
+    assert turns.ahead(MEMBERS, (2, 0), 5000) == [0, 1, 2]
+    assert turns.waited == 0
+
+
+def test_a_frame_waits_only_for_what_had_a_turn_ahead_of_it() -> None:
+    turns = Turns()
+    assert turns.now(MEMBERS, (1, 0), patient=True) == [0, 1, 2]
+    assert turns.now(MEMBERS, (2, 0), patient=True) == [0, 1, 2]      # there was no time ahead of it
+    turns.ahead(MEMBERS, (3, 0), 1000)
+    assert turns.now(MEMBERS, (3, 0), patient=True) == []
+    turns.ahead(MEMBERS, (4, 0), 0)
+    assert turns.now(MEMBERS, (4, 0), patient=False) == [1, 2, 0]
