@@ -9,8 +9,9 @@ behind it, the ground's as well, is not seen.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import moderngl
 import numpy as np
@@ -20,10 +21,9 @@ from renderer.equirectangular import pixel_directions
 from renderer.gl import Context, release_all, set_uniforms
 from renderer.irradiance import irradiance
 from renderer.light_detection import MAX_LIGHTS, Light
-from renderer.light_discs import hardly_moved
-from renderer.light_visibility import STALE, LightVisibilityStage, Receiver
+from renderer.light_visibility import LightVisibilityStage, Receiver
 from renderer.placement import TileMask, View
-from renderer.shadow_reach import AMBIENT_REACH, ambient_tiles, light_tiles, surface_points, surface_tiles
+from renderer.shadow_reach import AMBIENT_REACH, SLACK, SurfaceTiles, surface_tiles
 from renderer.shapes import KINDS
 from renderer.surfaces import FIRST_UNIT, SurfaceStage, ViewTarget
 from renderer.tile_views import views_of_tiles
@@ -31,10 +31,11 @@ from renderer.tile_views import views_of_tiles
 Array = NDArray[np.floating]
 MAX_SOLIDS = 12            # as in solids.glsl
 GIVING_BACK = 3            # of them; as in catcher.frag.glsl
+PATIENT_PIXELS = 60_000    # of views that are lit anew in one frame, where they may wait
 NORMALS = (16, 32)         # rows and columns of the irradiance map
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CatcherLight:
     """What lights the real surfaces: (25, 3) coefficients of the radiance without the lights; the lights; of each object, by its
     index, (9, 3) coefficients of the radiance that it gives back, or None. `reference`: None for ratios; else the picture is
@@ -44,6 +45,12 @@ class CatcherLight:
     lights: tuple[Light, ...]
     given_back: tuple[Array | None, ...]
     reference: Array | None = None
+
+    def is_same(self, other: CatcherLight) -> bool:
+        """Whether it is made of the very same arrays."""
+        parts, others = ((one.coefficients, *one.lights, *one.given_back) for one in (self, other))
+        return len(parts) == len(others) and all(map(operator.is_, parts, others)) and (
+            (self.reference is None) == (other.reference is None))
 
 
 @dataclass(frozen=True)
@@ -56,11 +63,10 @@ class CatcherLayer:
 
 @dataclass(frozen=True)
 class _Reach:
-    """The views of everything that a shadow may reach, and what they were found for."""
+    """The views of everything that a shadow may reach, with some slack for the lights, and what they were found for."""
 
     state: tuple[bytes, ...]
-    lights: tuple[Light, ...]
-    ground: TileMask
+    tiles: TileMask
     views: tuple[View, ...]
 
 
@@ -73,7 +79,7 @@ class _Picture:
     ratio: moderngl.Texture
     ratio_target: moderngl.Framebuffer
     moved: tuple[bytes, ...] = ()               # what the transfer was drawn for
-    shown: list[object] = field(default_factory=list)      # and the ratio
+    shown: tuple[int, int] | None = None        # numbers of the light and of its visibility that the ratio was drawn for
 
     def release(self) -> None:
         release_all(self.transfer_target, *self.transfer, self.ratio_target, self.ratio)
@@ -92,11 +98,15 @@ class CatcherStage:
         self._normals = pixel_directions(*NORMALS)
         self._pictures: dict[ViewTarget, _Picture] = {}
         self._reach: _Reach | None = None
+        self._surfaces_of: tuple[bytes, ...] | None = None
+        self._all = self._catchers = SurfaceTiles(np.zeros((0, 0, 3)), np.zeros((0, 0)))
         self._things: tuple[Receiver, ...] = ()
         self._catching = 0
         self._casters: tuple[Receiver, ...] = ()
         self._given_back: tuple[Array | None, ...] = ()
         self._light: CatcherLight | None = None
+        self._light_number = 0
+        self._left = np.inf         # pixels that may be lit anew in this frame
 
     def set_scene(self, catchers: Sequence[Receiver], occluders: Sequence[Receiver], objects: Sequence[Receiver],
                   light: CatcherLight, ground: TileMask) -> tuple[View, ...]:
@@ -106,45 +116,70 @@ class CatcherStage:
         casting = [index for index, item in enumerate(objects) if item.casts]
         self._casters = tuple(objects[index] for index in casting)
         self._given_back = tuple(light.given_back[index] for index in casting)
+        if self._light is None or not light.is_same(self._light):
+            self._light_number += 1
+            values = irradiance(light.coefficients, self._normals)
+            self._ambient.write(np.pad(values, ((0, 0), (0, 0), (0, 1))).astype("f4").tobytes())
         self._light = light
-        self._ambient.write(np.pad(irradiance(light.coefficients, self._normals), ((0, 0), (0, 0), (0, 1))).astype("f4").tobytes())
-        state = (bytes([self._catching]), *(item.placed.state() for item in (*self._things, *self._casters)))
+        self._find_surfaces()
+        state = tuple(item.placed.state() for item in (*self._things, *self._casters))
         kept = self._reach
-        if kept is None or kept.state != state or not _hold(kept.lights, light.lights) or not np.array_equal(kept.ground, ground):
-            self._reach = kept = _Reach(state, light.lights, ground, self._views(ground))
+        if kept is None or kept.state != state or not (self._tiles(ground, 0.0) <= kept.tiles).all():
+            tiles = self._tiles(ground, SLACK)
+            self._reach = kept = _Reach(state, tiles, self._views(tiles))
         return kept.views
 
-    def _views(self, ground: TileMask) -> tuple[View, ...]:
+    def begin_frame(self, *, patient: bool) -> None:
+        """`patient`: views for which only the light is another may wait, if others have had their turn since the last frame."""
+        self._left = self._left if patient else np.inf
+
+    def end_frame(self) -> None:
+        """What is drawn from now on is for the next one."""
+        self._left = PATIENT_PIXELS
+
+    def draw_ahead(self, views: Sequence[View]) -> None:
+        """Draw what the next frame needs, or some of it: what has waited longest first."""
+        shown = {id(target.view): kept.shown or (0, 0) for target, kept in self._pictures.items()}
+        for view in sorted(views, key=lambda view: shown.get(id(view), (0, 0))):
+            self.picture(view)
+
+    def _find_surfaces(self) -> None:
+        """Where the frame shows real things, unless they stand as they stood."""
+        state = (bytes([self._catching]), *(item.placed.state() for item in self._things))
+        if self._surfaces_of != state:
+            self._surfaces_of = state
+            things = [(item.placed, item.body) for item in self._things]
+            self._all, self._catchers = (surface_tiles(some, self._frame_size) for some in (things, things[:self._catching]))
+
+    def _tiles(self, ground: TileMask, slack: float) -> TileMask:
+        """Those that a shadow may reach."""
         assert self._light is not None
-        points = [surface_points(item.placed) for item in self._things]
-        shown = [surface_tiles(item.body, one, self._frame_size) for item, one in zip(self._things, points, strict=True)]
-        tiles = np.logical_or.reduce(shown) & ground
-        if self._catching:
-            of_catchers = np.concatenate(points[:self._catching])
-            reached = np.zeros_like(ground)
-            for caster in self._casters:
-                reached |= ambient_tiles(caster.body, self._frame_size)
-                for light in self._light.lights:
-                    reached |= light_tiles(caster.body, light, of_catchers, self._frame_size)
-            tiles |= np.logical_or.reduce(shown[:self._catching]) & reached
-        farthest = max(float(np.linalg.norm(one, axis=1).max()) for one in points)
+        tiles = self._all.shown & ground
+        for caster in self._casters if self._catching else ():
+            tiles = tiles | self._catchers.reached(caster.body, self._light.lights, slack)
+        return tiles
+
+    def _views(self, tiles: TileMask) -> tuple[View, ...]:
+        farthest = float(np.nanmax(np.linalg.norm(self._all.places, axis=-1) + self._all.sizes, initial=1.0))
         return views_of_tiles(tiles, self._frame_size, farthest, tuple(range(len(self._things))))
 
     def picture(self, view: View) -> moderngl.Texture:
         """(height, width, 4) ratio times coverage, and coverage, in the corner of a texture that the view fills."""
         assert self._light is not None
         target, is_new = self._surfaces.drawn(view, [item.placed for item in self._things], outlined=False)
-        visibility, number = self._visibility.texture(target, view, (*self._still(), *self._casters), self._light.lights)
-        if target not in self._pictures:
-            self._pictures[target] = self._new_picture(target)
-        picture = self._pictures[target]
         moved = tuple(item.placed.state() for item in self._casters)
+        kept = self._pictures.get(target)
+        if kept is not None and not is_new and kept.moved == moved and self._left <= 0:
+            return kept.ratio
+        visibility, number = self._visibility.texture(target, view, (*self._still(), *self._casters), self._light.lights)
+        picture = self._pictures[target] = kept or self._new_picture(target)
         if is_new or picture.moved != moved:
             picture.moved = moved
             self._draw_transfer(picture, target, view)
-        elif picture.shown == [self._light, number]:
+        elif picture.shown == (self._light_number, number):
             return picture.ratio
-        picture.shown = [self._light, number]
+        picture.shown = (self._light_number, number)
+        self._left -= view.size[0] * view.size[1]
         self._draw_ratio(picture, target, view, visibility)
         return picture.ratio
 
@@ -203,7 +238,9 @@ class CatcherStage:
             **{f"transfer_{index}": texture for index, texture in enumerate(picture.transfer)}, "light_visibility": visibility,
             "ambient_map": self._ambient}, {
             "has_light_visibility": int(visibility is not self._visibility.all_visible), "ambient_sh": self._light.coefficients[:9],
-            "light_direction": directions, "light_irradiance": irradiances, "light_radius": radii, "solid_centre": centres,
+            "light_direction": directions, "light_irradiance": irradiances, "light_radius": radii,
+            "light_count": min(len(self._light.lights), MAX_LIGHTS), "solid_centre": centres,
+            "solid_count": min(len(self._casters), GIVING_BACK),
             "given_back": given_back, "reference": (0.0, 0.0, 0.0) if reference is None else tuple(reference)})
 
     def reset(self) -> None:
@@ -214,8 +251,3 @@ class CatcherStage:
     def release(self) -> None:
         self._context.rest()
         release_all(*self._pictures.values(), *self._triangles.values(), *self._programs.values(), self._visibility, self._ambient)
-
-
-def _hold(before: tuple[Light, ...], now: tuple[Light, ...]) -> bool:
-    """Whether lights are still where they were."""
-    return len(before) == len(now) and all(hardly_moved(a, b, least=STALE) for a, b in zip(before, now, strict=True))

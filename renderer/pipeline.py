@@ -112,7 +112,7 @@ class Pipeline:
         with timings.stage("upload"):
             self._panorama.write(frame, only_packed=not (rings or any(map(may_mirror, placement.objects.values()))))
             self._panorama.use()
-        self._shading.is_patient = light is not None
+        self._scene_light.begin_frame(patient=light is not None)
         if light is None:
             light = self._light(timings, moment, scene.lighting)
         if rings:
@@ -125,6 +125,7 @@ class Pipeline:
             draw_view = self._drawing(placement)
             touched = self._composite.run(placement.views, draw_view, lit.maps, lit.ambient, lit.ground, self._scene_light.atlases,
                                           self._floor(scene, placement), lit.catchers)
+            self._scene_light.end_frame()
             self._context.start()   # while the planes are being copied
         with timings.stage("write"):
             composited, radiance = self._write(frame, touched, output)
@@ -145,10 +146,7 @@ class Pipeline:
             scene, placement = last
             lit = self._scene_light.run(scene, light, placement, self._rings_for(scene), timings)
             with timings.stage("objects_and_composite"):
-                if lit.catchers is not None:
-                    for view in lit.catchers.views:
-                        lit.catchers.picture(view)
-                self._shading.draw_still(_still_views(placement), list(placement.objects.values()))
+                self._scene_light.draw_ahead(lit, _still_views(placement))
                 self._context.gl.finish()
         return timings
 

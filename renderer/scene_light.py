@@ -20,7 +20,7 @@ from renderer.light_detection import MAX_LIGHTS, Light
 from renderer.light_reading import FrameLight
 from renderer.light_shadows import LightShadowStage
 from renderer.light_visibility import Receiver
-from renderer.placement import TileMask, tile_grid
+from renderer.placement import TileMask, View, tile_grid
 from renderer.placing import Placement
 from renderer.scene import Lighting, Scene
 from renderer.shading import MIRROR_BELOW, Illumination, ShadingStage, is_sharp, may_mirror
@@ -35,7 +35,7 @@ from renderer.timings import Timings
 
 Array = NDArray[np.float64]
 UP = np.array([0.0, 1.0, 0.0])
-SETTLED_READINGS = 10      # of the same light: shadows are drawn finely and near fields fitted to it, one after another
+SETTLED_READINGS = 16      # of the same light: shadows are drawn finely and near fields fitted to it, one after another
 MIN_GROUND_SHARE = 0.02    # of the ground's irradiance; weaker lights cast no visible shadow
 
 
@@ -67,6 +67,23 @@ class SceneLightStage:
         self._reference: FrameLight | None = None       # the light that has stayed the same
         self._unchanged = 0                             # for so many readings
         self._illuminations = 0
+
+    def begin_frame(self, *, patient: bool) -> None:
+        """`patient`: what only the light has changed may be lit anew in one of the next frames."""
+        self._shading.is_patient = patient
+        if self._catchers is not None:
+            self._catchers.begin_frame(patient=patient)
+
+    def end_frame(self) -> None:
+        """What is drawn from now on is for the next one."""
+        if self._catchers is not None:
+            self._catchers.end_frame()
+
+    def draw_ahead(self, lit: LitScene, views: list[View]) -> None:
+        """Draw some of what the next frame needs of a scene; `views`: those that nothing changes before it."""
+        if self._catchers is not None and lit.catchers is not None:
+            self._catchers.draw_ahead(lit.catchers.views)
+        self._shading.draw_still(views, list(lit.placement.objects.values()))
 
     @property
     def atlases(self) -> ShadowAtlases:
@@ -173,7 +190,8 @@ class SceneLightStage:
         self._light_shadows.begin(set(casters), {item.id for item in _rendered(light)}, real)
         maps = [shadow for index, item in enumerate(_rendered(light)) if ground.lights[index] @ WEIGHTS > gate
                 for shadow in self._light_shadows.run(casters, item, index, ground.y, filtered=filtered)]
-        ambient = self._ambient_shadows.run(casters, self._hidden(list(casters), light, filtered=filtered), ground.y, real)
+        share = 1 - float(sum(ground.lights, np.zeros(3)) @ WEIGHTS) / max(float(ground.total @ WEIGHTS), 1e-9)
+        ambient = self._ambient_shadows.run(casters, self._hidden(list(casters), light, filtered=filtered), ground.y, real, share)
         return maps, ambient
 
     def _hidden(self, names: list[str], light: FrameLight, *, filtered: bool) -> dict[str, Array]:

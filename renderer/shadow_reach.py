@@ -1,36 +1,76 @@
-"""Which tiles of the frame a real surface's shadows may lie in."""
+"""Which tiles of the frame a real surface's shadows may lie in: each tile's place on the surfaces, and what reaches it."""
 
 from __future__ import annotations
 
-from itertools import pairwise
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from renderer.equirectangular import direction_from_uv
 from renderer.gpu_mesh import PlacedMesh
 from renderer.light_detection import Light
 from renderer.near_field import Body
-from renderer.placement import TileMask, tile_grid, touched_tiles
+from renderer.placement import TILE, TileMask, tile_grid, touched_tiles
 
 Array = NDArray[np.float64]
-SEGMENTS = 8               # of a shadow's way; each is bounded on its own
 AMBIENT_REACH = 4.0        # in radii of an object, from its middle: it takes a sixteenth of the view from there
-SLACK = np.radians(2.0)    # that a light may move while the tiles are kept
+SLACK = np.radians(2.0)    # that a light may move while the views are kept
 _GRID = np.array([(i, j, 6 - i - j) for i in range(7) for j in range(7 - i)]) / 6.0
-_CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
+_RAYS_AT_ONCE = 4096
 
 
-def surface_points(placed: PlacedMesh) -> Array:
-    """(n, 3) points all over a surface in the world."""
-    points, triangles = placed.mesh.mesh.proxy
-    matrix = placed.world_from_model
-    corners = (points @ matrix[:3, :3].T + matrix[:3, 3])[triangles]
-    return np.asarray(np.einsum("gc,tcx->tgx", _GRID, corners).reshape(-1, 3))
+@dataclass(frozen=True)
+class SurfaceTiles:
+    """Where in the world the tiles of the frame that show some surfaces are: (rows, columns, 3) places, those of the nearest, NaN
+    where there are none; and (rows, columns) how far from them the rest of a tile may be, in metres."""
+
+    places: Array
+    sizes: Array
+
+    @property
+    def shown(self) -> TileMask:
+        return np.asarray(np.isfinite(self.places[..., 0]))
+
+    def reached(self, caster: Body, lights: tuple[Light, ...], slack: float) -> TileMask:
+        """The tiles where an object may take something: of the light around, or of lights, which may move by `slack` radians."""
+        centre, radius = caster.solid.centre, caster.solid.radius
+        with np.errstate(invalid="ignore"):
+            towards = centre - self.places
+            mask = np.linalg.norm(towards, axis=-1) < AMBIENT_REACH * radius + self.sizes
+            for light in lights:
+                along = towards @ light.direction
+                aside = np.linalg.norm(towards - along[..., None] * light.direction, axis=-1)
+                widened = radius + self.sizes + np.maximum(along, 0.0) * np.tan(light.angular_radius + slack)
+                mask |= (along > -radius - self.sizes) & (aside < widened)
+        return np.asarray(mask)
 
 
-def surface_tiles(body: Body, points: Array, frame_size: tuple[int, int]) -> TileMask:
-    """The tiles that show a surface, given by points all over it; all of them when it is around the camera."""
-    return _everywhere(frame_size) if surrounds_camera(body) else touched_tiles(points, frame_size)
+def surface_tiles(things: list[tuple[PlacedMesh, Body]], frame_size: tuple[int, int]) -> SurfaceTiles:
+    """Of the nearest of some things, by their proxies."""
+    columns, rows = tile_grid(frame_size)
+    uv = np.stack(np.meshgrid(np.arange(2 * columns + 1) * TILE / 2 / frame_size[0],
+                              np.minimum(np.arange(2 * rows + 1) * TILE / 2 / frame_size[1], 1.0)), axis=-1)
+    directions = direction_from_uv(uv)
+    distance = np.full(directions.shape[:2], np.inf)
+    for placed, body in things:
+        corners = _triangles(placed)
+        points = np.einsum("gc,tcx->tgx", _GRID, corners).reshape(-1, 3)
+        shown = np.ones((rows, columns), dtype=bool) if surrounds_camera(body) else touched_tiles(points, frame_size)
+        wanted = np.zeros_like(distance, dtype=bool)
+        for i in range(3):
+            for j in range(3):
+                wanted[i:i + 2 * rows:2, j:j + 2 * columns:2][:rows, :columns] |= shown
+        distance[wanted] = np.minimum(distance[wanted], _hits(directions[wanted], corners))
+    around = np.stack([distance[i:i + 2 * rows:2, j:j + 2 * columns:2] for i in range(3) for j in range(3)])
+    seen = np.stack([directions[i:i + 2 * rows:2, j:j + 2 * columns:2] for i in range(3) for j in range(3)])
+    found = np.isfinite(around)
+    nearest = np.where(found, around, np.inf).argmin(axis=0)[None]
+    with np.errstate(invalid="ignore"):
+        points = seen * np.where(found, around, np.nan)[..., None]
+        places = np.take_along_axis(points, nearest[..., None], axis=0)[0]
+        sizes = np.nan_to_num(np.linalg.norm(points - places, axis=-1)).max(axis=0)
+    return SurfaceTiles(places, sizes)
 
 
 def surrounds_camera(body: Body) -> bool:
@@ -38,40 +78,25 @@ def surrounds_camera(body: Body) -> bool:
     return bool((np.abs(body.solid.unit_from_world[:3, 3]) < 0.5).all())
 
 
-def ambient_tiles(caster: Body, frame_size: tuple[int, int]) -> TileMask:
-    """The tiles where surfaces may be that an object takes visibly from."""
-    return _box_tiles(caster.solid.centre, AMBIENT_REACH * caster.solid.radius, frame_size)
+def _triangles(placed: PlacedMesh) -> Array:
+    """(n, 3, 3) corners in the world."""
+    points, triangles = placed.mesh.mesh.proxy
+    matrix = placed.world_from_model
+    return np.asarray((points @ matrix[:3, :3].T + matrix[:3, 3])[triangles], dtype=np.float64)
 
 
-def light_tiles(caster: Body, light: Light, points: Array, frame_size: tuple[int, int]) -> TileMask:
-    """The tiles that an object's shadow passes through on its way to surfaces that lie at `points`."""
-    centre, radius = caster.solid.centre, caster.solid.radius
-    farthest = float(((centre - points) @ light.direction).max()) + radius
-    mask = np.zeros(tile_grid(frame_size)[::-1], dtype=bool)
-    if farthest <= 0:
-        return mask
-    spread = float(np.tan(light.angular_radius + SLACK))
-    steps = np.concatenate([[0.0], np.geomspace(min(radius, farthest), max(farthest, 1e-3), SEGMENTS)])
-    for near, far in pairwise(steps):
-        around = [centre - light.direction * at + _CORNERS * (radius + spread * at) for at in np.linspace(near, far, 4)]
-        box = np.concatenate(around)
-        if _is_around_camera(box):
-            return _everywhere(frame_size)
-        mask |= touched_tiles(box, frame_size)
-    return mask
-
-
-def _box_tiles(centre: NDArray[np.floating], half: float, frame_size: tuple[int, int]) -> TileMask:
-    box = centre + _CORNERS * half
-    if _is_around_camera(box):
-        return _everywhere(frame_size)
-    edges = [a + (b - a) * t for a in box for b in box for t in (0.0, 0.25, 0.5)]
-    return touched_tiles(np.array(edges), frame_size)
-
-
-def _is_around_camera(box: Array) -> bool:
-    return bool((box.min(axis=0) < 0).all() and (box.max(axis=0) > 0).all())
-
-
-def _everywhere(frame_size: tuple[int, int]) -> TileMask:
-    return np.ones(tile_grid(frame_size)[::-1], dtype=bool)
+def _hits(directions: Array, corners: Array) -> Array:
+    """(n,) distance at which rays from the camera along (n, 3) directions first meet a triangle, inf for none."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    height = (normal * corners[:, 0]).sum(axis=1)
+    # a ray meets it where it is on the same side of the planes through the camera and each edge
+    sides = [np.cross(corners[:, i], corners[:, (i + 1) % 3]) for i in range(3)]
+    found = []
+    for rays in np.array_split(directions, max(1, len(directions) // _RAYS_AT_ONCE)):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            distance = height / (rays @ normal.T)
+            signs = [rays @ side.T for side in sides]
+        least, most = np.minimum.reduce(signs), np.maximum.reduce(signs)
+        inside = ((least >= -1e-9) | (most <= 1e-9)) & (distance > 0)
+        found.append(np.where(inside, distance, np.inf).min(axis=1, initial=np.inf))
+    return np.concatenate(found)

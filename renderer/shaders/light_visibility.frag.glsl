@@ -32,7 +32,8 @@ float visibility(vec3 surface, vec3 normal) {
 
     float search = max(spread * at.z * extent.z, texel);
     float blockers = 0.0, depth = 0.0;
-    for (int i = 0; i < SEARCH; ++i) {
+    vec2 beside = abs(at.xy - 0.5) - 0.5 - search * metre;
+    for (int i = 0; i < (max(beside.x, beside.y) < 0.0 ? SEARCH : 0); ++i) {     // beside the map is nothing
         float found = textureLod(depth_map, at.xy + spiral(i, SEARCH) * search * metre, 0.0).r;
         if (found < at.z - bias) { blockers += 1.0; depth += found; }
     }

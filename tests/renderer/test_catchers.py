@@ -161,3 +161,27 @@ def test_catchers_are_unseen(context: Context) -> None:
         seen = np.kron(away_from_ball([0.2, FLOOR + 0.5, -2.2], 0.42)[::2, ::2], np.ones((2, 2), dtype=bool)).astype(bool)
         assert np.array_equal(result.frame.y[seen], frame.y[seen])     # type: ignore[union-attr]
     pipeline.release()
+
+
+def test_a_catcher_is_drawn_anew_when_the_light_or_an_object_is_another(context: Context) -> None:
+    pipeline = Pipeline(context, RadianceFrame, SIZE)
+    local = [surface("catcher", [0, FLOOR - 0.5, -2.0], [8, 1, 8])]
+    scenes = [Scene.model_validate({"objects": [{**BALL, "position": [x, FLOOR + 0.5, -2.2]}], "local_scene": local,
+                                    "ground": {"catcher": False}}) for x in (0.2, 0.5)]
+    spot = np.linalg.norm(plane_hits(1, FLOOR) - [0.0, FLOOR, -1.85], axis=-1) < 0.1
+    seen = []
+    for azimuth, scene in ((40, scenes[0]), (40, scenes[0]), (180, scenes[0]), (180, scenes[1])):
+        frame = sky_with_sun(azimuth, 50, size=SIZE)
+        light, _ = pipeline.analyse(frame)
+        for _ in range(8):      # live: the light of an earlier frame
+            found = pipeline.render(frame, scene, light=light)
+            pipeline.prepare(light)
+        fresh = rendered(context, frame, objects=[item.model_dump() for item in scene.objects], local_scene=local,
+                         ground={"catcher": False})
+        assert isinstance(found.frame, RadianceFrame)
+        ratio = found.frame.rgb[..., 1] / frame.rgb[..., 1]
+        assert np.abs(ratio - fresh)[spot].mean() < 0.06        # what has just moved is drawn coarsely
+        seen.append(float(ratio[spot].mean()))
+    pipeline.release()
+    assert seen[0] == pytest.approx(seen[1], abs=0.01)
+    assert np.ptp(seen) > 0.1
