@@ -132,6 +132,6 @@ def test_what_is_near_on_the_ground_is_not_blurred_as_if_it_were_far(context: Co
     found = picture(context, RadianceFrame(frame), scene(small))
     centre = np.array([0.0, -1.5, -2.0])
     left, right = (found[int(v), int(u)] for u, v in (
-        uv_from_direction(centre + [side, -0.05, 0.07]) * SIZE for side in (-0.05, 0.05)))
+        uv_from_direction(centre + np.array([side, -0.05, 0.07])) * SIZE for side in (-0.05, 0.05)))
     assert left > 0.97
     assert right < 0.01
