@@ -8,7 +8,7 @@ same rays serve both irradiances, so their noise is in both and the ratio keeps 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -28,7 +28,8 @@ GROUND_RAYS = 32
 LIGHT_RAYS = 4            # to a light, from each cell of the ground
 REACH = 1.6               # of that patch, in sizes of the object beyond it
 CONTACT = 4.0             # how fast the contact term falls with height, in sizes
-FUNCTIONS = 10
+NEIGHBOURS = 2            # that have a function of their own
+FUNCTIONS = 10 + NEIGHBOURS
 RIDGE = 1e-3
 RATIO_RANGE = (0.0, 4.0)
 STALE = np.radians(1.0)     # how far a light may move before the rays to it are cast anew
@@ -44,6 +45,11 @@ class Body:
     normals: Array
     is_convex: bool
     albedo: Array
+    metallic: float = 0.0
+
+    def reflects(self, irradiance: Array, seen: Array) -> Array:
+        """(n, 3) radiance of places that receive this irradiance; metals give back what a mirror would show there, `seen`."""
+        return np.asarray(self.albedo * (self.metallic * seen + (1 - self.metallic) * irradiance / np.pi))
 
     @property
     def color(self) -> Array:
@@ -53,23 +59,36 @@ class Body:
 
 @dataclass(frozen=True)
 class Fit:
-    """`coefficients` (FUNCTIONS, 3) of `functions`, whose origin and scale (metres) these are."""
+    """`coefficients` (FUNCTIONS, 3) of `functions`, whose origin, scale (metres) and (NEIGHBOURS, 4) spheres these are."""
 
     centre: Array
     size: float
     coefficients: Array
+    spheres: Array = field(default_factory=lambda: np.zeros((NEIGHBOURS, 4)))
 
     def ratio(self, points: Array, normals: Array, ground_y: float) -> Array:
         """(n, 3) irradiance near by distant."""
-        return np.maximum(functions(points, normals, self.centre, self.size, ground_y) @ self.coefficients, 0.0)
+        found = functions(points, normals, self.centre, self.size, ground_y, self.spheres)
+        return np.maximum(found @ self.coefficients, 0.0)
 
 
-def functions(points: Array, normals: Array, centre: Array, size: float, ground_y: float) -> Array:
+def functions(points: Array, normals: Array, centre: Array, size: float, ground_y: float, spheres: Array) -> Array:
     """(n, FUNCTIONS); the twin of near_field.glsl."""
     q = (points - centre) / size
     contact = np.exp(-CONTACT * np.maximum(points[:, 1] - ground_y, 0.0) / size)
     one = np.ones(len(points))
-    return np.stack([one, *normals.T, *q.T, contact, contact * normals[:, 1], normals[:, 1] ** 2], axis=1)
+    seen = [form_factor(points, normals, sphere) for sphere in spheres]
+    return np.stack([one, *normals.T, *q.T, contact, contact * normals[:, 1], normals[:, 1] ** 2, *seen], axis=1)
+
+
+def form_factor(points: Array, normals: Array, sphere: Array) -> Array:
+    """(n,) share of a sphere (x, y, z, radius) in the cosine-weighted view: (n . d) (r / d)^2, and the parabola of `disc_cosine`
+    where it sets behind the horizon."""
+    towards = sphere[:3] - points
+    distance = np.maximum(np.linalg.norm(towards, axis=1), 1e-6)
+    cosine, sine = (towards * normals).sum(axis=1) / distance, np.minimum(sphere[3] / distance, 1.0)
+    rising = np.clip(cosine + sine, 0.0, 2 * sine)
+    return np.asarray(sine**2 * np.where(cosine >= sine, cosine, rising**2 / np.maximum(4 * sine, 1e-6)))
 
 
 def surface_points(mesh: Mesh, count: int = POINTS) -> tuple[Array, Array]:
@@ -100,6 +119,11 @@ def mean_color(surface: Surface) -> Array:
         mean = surface.base_color_texture[..., :3].reshape(-1, 3).mean(axis=0) / 255.0
         color = color * mean**2.2
     return np.asarray(color)
+
+
+def mirrored(rays: Array, normals: Array) -> Array:
+    """(n, 3) rays as they go on from a mirror."""
+    return np.asarray(rays - 2 * (rays * normals).sum(axis=1, keepdims=True) * normals)
 
 
 @lru_cache(maxsize=4)
@@ -216,9 +240,12 @@ class NearField:
             self._ground_texels = texels(ground / np.linalg.norm(ground, axis=1, keepdims=True), rows)
             self._patch_sky = texels(self._patch.directions, rows)
         self._met = [(index, np.flatnonzero(met == index)) for index in range(len(others)) if (met == index).any()]
-        self._met_normals = [texels(normals[rows_], rows) for _, rows_ in self._met]
+        self._met_normals = [normals[found] for _, found in self._met]
+        self._met_mirrored = [texels(mirrored(rays[found], normals[found]), rows) for _, found in self._met]
         self._size = 2 * body.solid.radius
-        basis = functions(body.points, body.normals, body.solid.centre, self._size, -1e9 if ground_y is None else ground_y)
+        self._spheres = _nearest_spheres(body, others)
+        basis = functions(body.points, body.normals, body.solid.centre, self._size, -1e9 if ground_y is None else ground_y,
+                          self._spheres)
         self._solver = np.linalg.solve(basis.T @ basis + RIDGE * len(basis) * np.eye(FUNCTIONS), basis.T)
 
     def fit(self, radiance: NDArray[np.float32], irradiance: NDArray[np.float32], lights: tuple[Light, ...]) -> Fit:
@@ -230,17 +257,21 @@ class NearField:
             self._patch.forget_lights(lights)
             ratio = np.append(self._patch.ratio(flat[self._patch_sky], lights), [[1.0, 1.0, 1.0]], axis=0)
             near[self._on_ground] = flat[self._ground_texels] * ratio[self._ground_cells]
-        for (index, rays), texels in zip(self._met, self._met_normals, strict=True):
-            mean = irradiance.reshape(-1, 3)[_coarser(texels, radiance.shape[0], irradiance.shape[0])]
-            near[rays] = self._others[index].albedo * mean / np.pi
+        for (index, rays), normals, seen in zip(self._met, self._met_normals, self._met_mirrored, strict=True):
+            received = irradiance.reshape(-1, 3)[texels(normals, irradiance.shape[0])]
+            near[rays] = self._others[index].reflects(received, flat[seen])
         sums = [values.reshape(POINTS, RAYS, 3).sum(axis=1) for values in (near, distant)]
         ratio = np.clip(np.where(sums[1] > 1e-9, sums[0] / np.maximum(sums[1], 1e-9), 1.0), *RATIO_RANGE)
         one = np.zeros((FUNCTIONS, 3))
         one[0] = 1.0
-        return Fit(self._body.solid.centre, self._size, self._solver @ (ratio - 1.0) + one)
+        return Fit(self._body.solid.centre, self._size, self._solver @ (ratio - 1.0) + one, self._spheres)
 
 
-def _coarser(texels: NDArray[np.intp], rows: int, fewer: int) -> NDArray[np.intp]:
-    """The same texels in a map of fewer rows."""
-    row, column = np.divmod(texels, 2 * rows)
-    return np.asarray(row * fewer // rows * 2 * fewer + column * fewer // rows)
+def _nearest_spheres(body: Body, others: list[Body]) -> Array:
+    """(NEIGHBOURS, 4) centre and radius of spheres as large as those neighbours that fill most of the view; 0 for none."""
+    found = np.zeros((NEIGHBOURS, 4))
+    away = [max(float(np.linalg.norm(other.solid.centre - body.solid.centre)), 1e-6) for other in others]
+    size = [other.solid.mean_radius / distance for other, distance in zip(others, away, strict=True)]
+    for slot, index in enumerate(np.argsort(size)[::-1][:NEIGHBOURS]):
+        found[slot] = (*others[index].solid.centre, others[index].solid.mean_radius)
+    return found

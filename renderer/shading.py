@@ -26,7 +26,7 @@ from renderer.surfaces import FIRST_UNIT, MAX_SURFACES, SurfaceStage, ViewTarget
 
 Array = NDArray[np.float64]
 LIGHT_SLOTS = (2, 4, 8)   # lights: each number has a program of its own, with a constant loop
-TABLE_WIDTH = 13       # texels a surface: three, and the near field's; as in near_field.glsl
+TABLE_WIDTH = 15       # texels a surface: three, and the near field's; as in near_field.glsl
 MAX_SOLIDS = 12        # as in reflections.glsl
 MAX_LOBES = 16         # roughness values in one frame; as in shade.frag.glsl
 MIRROR_BELOW = MIN_ROUGHNESS / 2
@@ -276,7 +276,8 @@ class ShadingStage:
             row[4, 0] = row[7, 0] = row[10, 0] = 1.0        # what is near makes no difference
             if index < len(near):
                 row[3] = (*near[index].centre, 1 / near[index].size)
-                row[4:].reshape(3, 12)[:, :FUNCTIONS] = near[index].coefficients.T
+                row[4:13].reshape(3, FUNCTIONS)[:] = near[index].coefficients.T
+                row[13:] = near[index].spheres
         table.write(rows, viewport=(0, 0, TABLE_WIDTH, len(rows)))
 
     def compile_variants(self, view: View, objects: list[PlacedMesh]) -> None:

@@ -141,6 +141,12 @@ class Solid:
         corner = {"box": np.sqrt(3.0), "ellipsoid": 1.0, "cylinder": np.sqrt(2.0)}[self.kind]
         return float(0.5 * corner * np.linalg.norm(self.world_from_unit[:3, :3], axis=0).max())
 
+    @property
+    def mean_radius(self) -> float:
+        """Of a sphere of its volume."""
+        space = _VOLUMES[self.kind] * abs(float(np.linalg.det(self.world_from_unit[:3, :3])))
+        return float((3 / (4 * np.pi) * space) ** (1 / 3))
+
     def hides(self, points: Array, directions: Array) -> NDArray[np.bool_]:
         """(points, directions): whether it is in the way from each point in each direction."""
         linear, offset = self.unit_from_world[:3, :3], self.unit_from_world[:3, 3]

@@ -22,7 +22,7 @@ class Surroundings:
     """Owns the near field of every object in the scene."""
 
     def __init__(self) -> None:
-        self._models: WeakKeyDictionary[GpuMesh, tuple[Shape, Array, Array, Array]] = WeakKeyDictionary()
+        self._models: WeakKeyDictionary[GpuMesh, tuple[Shape, Array, Array, Array, float]] = WeakKeyDictionary()
         self._kept: dict[str, tuple[bytes, NearField]] = {}
         self._fits: dict[str, Fit] = {}
         self._bounced: dict[str, Array] = {}
@@ -82,13 +82,15 @@ class Surroundings:
         """One object as its near field sees it."""
         if placed.mesh not in self._models:
             albedo = np.asarray(np.mean([mean_albedo(part.surface) for part in placed.mesh.parts], axis=0))
-            self._models[placed.mesh] = (fitted_shape(placed.mesh.mesh), *surface_points(placed.mesh.mesh), albedo)
-        shape, points, normals, albedo = self._models[placed.mesh]
+            metallic = float(np.mean([part.surface.metallic for part in placed.mesh.parts]))
+            self._models[placed.mesh] = (fitted_shape(placed.mesh.mesh), *surface_points(placed.mesh.mesh), albedo, metallic)
+        shape, points, normals, albedo, metallic = self._models[placed.mesh]
         matrix = placed.world_from_model
         turned = normals @ np.linalg.inv(matrix[:3, :3])
         return Body(Solid.placed(shape, matrix), points @ matrix[:3, :3].T + matrix[:3, 3],
                     turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-12),
-                    shape.is_convex, albedo if placed.surface is None else mean_albedo(placed.surface))
+                    shape.is_convex, albedo if placed.surface is None else mean_albedo(placed.surface),
+                    metallic if placed.surface is None else placed.surface.metallic)
 
 
 def _state(placed: PlacedMesh) -> bytes:

@@ -21,27 +21,37 @@ vec2 spiral(int index, int count) {
     return radius * vec2(cos(angle), sin(angle));
 }
 
+// Depth at a texel's middle of the plane that touches the surface: found there is the surface itself if it is no nearer to the light
+// (Isidoro 2006, "Shadow mapping: GPU-based tips and techniques"). Moving the surface off itself instead would move the shadow's edge.
+float plane_depth(vec3 at, vec2 slope, vec2 uv) {
+    vec2 texels = vec2(textureSize(depth_map, 0));
+    return at.z + dot(slope, ((floor(uv * texels) + 0.5) / texels - at.xy) * extent.xy) / extent.z;
+}
+
 float visibility(vec3 surface, vec3 normal) {
     float facing = dot(normal, light_direction);
     float texel = max(extent.x, extent.y) / float(textureSize(depth_map, 0).x);
-    // off the surface by as much as it climbs within a texel, so that it does not hide itself
-    vec3 position = surface + normal * (1.5 * texel * sqrt(max(1.0 - facing * facing, 0.0)) + 0.5 * texel);
-    vec3 at = (clip_from_world * vec4(position, 1.0)).xyz * 0.5 + 0.5;
+    vec3 at = (clip_from_world * vec4(surface + normal * (0.25 * texel), 1.0)).xyz * 0.5 + 0.5;
     vec2 metre = 1.0 / extent.xy;
     float bias = 0.75 * texel / extent.z;
+    vec2 across = 0.5 * extent.xy * (mat3(clip_from_world) * normal).xy;    // of the normal, in the light's axes
+    vec2 slope = across / max(facing, 0.02);
 
     float search = max(spread * at.z * extent.z, texel);
     float blockers = 0.0, depth = 0.0;
     vec2 beside = abs(at.xy - 0.5) - 0.5 - search * metre;
     for (int i = 0; i < (max(beside.x, beside.y) < 0.0 ? SEARCH : 0); ++i) {     // beside the map is nothing
-        float found = textureLod(depth_map, at.xy + spiral(i, SEARCH) * search * metre, 0.0).r;
-        if (found < at.z - bias) { blockers += 1.0; depth += found; }
+        vec2 uv = at.xy + spiral(i, SEARCH) * search * metre;
+        float found = textureLod(depth_map, uv, 0.0).r;
+        if (found < plane_depth(at, slope, uv) - bias) { blockers += 1.0; depth += found; }
     }
     if (blockers == 0.0) return 1.0;
     float width = max(spread * (at.z - depth / max(blockers, 1.0)) * extent.z, 0.75 * texel);
     float lit = 0.0;
-    for (int i = 0; i < FILTER; ++i)
-        lit += textureLod(depth_map, at.xy + spiral(i, FILTER) * width * metre, 0.0).r < at.z - bias ? 0.0 : 1.0;
+    for (int i = 0; i < FILTER; ++i) {
+        vec2 uv = at.xy + spiral(i, FILTER) * width * metre;
+        lit += textureLod(depth_map, uv, 0.0).r < plane_depth(at, slope, uv) - bias ? 0.0 : 1.0;
+    }
     return lit / float(FILTER);
 }
 

@@ -68,21 +68,23 @@ vec2 coarse_uv(vec3 unit) {
 }
 
 // `map`: u scale, v offset, v scale in the atlas; `side`: 0.5 for what is under the horizon.
-vec4 atlas_light(vec3 direction, vec3 map, float side) {
-    vec2 uv = coarse_uv(direction);
+vec4 atlas_light(vec2 uv, vec3 map, float side) {
     return textureLod(lobe_atlas, vec2(side + lobe_border + uv.x * map.x, map.y + uv.y * map.z), 0.0);
 }
 
-vec3 filtered_light(vec3 direction, vec3 map) { return atlas_light(direction, map, 0.0).rgb; }
+vec3 filtered_light(vec3 direction, vec3 map) { return atlas_light(coarse_uv(direction), map, 0.0).rgb; }
 
 // What a lobe sees: over the horizon what is far away, around `ray`; under it the ground, where the camera sees it in direction
-// `below`, `ratio` times as bright. `kept`: how much of that part the surface's own horizon leaves, compared with the other.
-struct Lobe { vec3 ray; vec3 below; vec3 ratio; float kept; };
+// `below`, `ratio` times as bright. `kept`: how much of that part the surface's own horizon leaves, compared with the other. `wide`:
+// how far away that is from the surface by how far from the camera, for which a lobe is so much narrower there.
+struct Lobe { vec3 ray; vec3 below; vec3 ratio; float kept; float wide; };
 
 vec3 lobe_light(Lobe lobe, vec3 map) {
-    vec4 above = atlas_light(lobe.ray, map, 0.0);
+    vec4 above = atlas_light(coarse_uv(lobe.ray), map, 0.0);
     float share = above.a * lobe.kept;
-    return (above.rgb + share * lobe.ratio * atlas_light(lobe.below, map, 0.5).rgb) / max(1.0 - above.a + share, 1e-3);
+    vec2 uv = coarse_uv(lobe.below);
+    vec3 ground = mix(textureLod(radiance_map, uv, 0.0).rgb, atlas_light(uv, map, 0.5).rgb, lobe.wide);
+    return (above.rgb + share * lobe.ratio * ground) / max(1.0 - above.a + share, 1e-3);
 }
 
 #if DETAILED
@@ -145,21 +147,18 @@ struct Reflection { Lobe lobe; vec3 light; float hidden; };
 #include "reflections.glsl"
 #endif
 
-// Where the camera would see what a ray meets: on the ground that is another direction.
-vec3 seen_direction(vec3 from, vec3 ray) {
-    if (has_ground == 0 || ray.y > -1e-4 || from.y <= ground_y) return ray;
-    return normalize(from + ray * ((ground_y - from.y) / ray.y));
-}
-
 // The middle of what of a lobe is under the horizon: its axis where all is, a lobe's half width down where only its edge is.
 vec3 lowered(vec3 ray, float alpha) {
     return normalize(vec3(ray.x, 0.5 * (ray.y - sqrt(ray.y * ray.y + 4.0 * alpha * alpha)) - 1e-3, ray.z));
 }
 
 Lobe lobe_from(vec3 position, vec3 normal, vec3 ray, float alpha, vec3 ratio) {
+    if (has_ground == 0 || position.y <= ground_y) return Lobe(ray, ray, ratio, 1.0, 1.0);
     vec3 down = lowered(ray, alpha);
-    float kept = clamp(dot(normal, down) / max(dot(normal, ray), 1e-3), 0.0, 1.0);
-    return Lobe(ray, seen_direction(position, down), ratio, has_ground == 1 ? kept : 1.0);
+    float kept = clamp(dot(normal, down) / max(dot(normal, ray), 1e-3), 0.0, 1.0), away = (ground_y - position.y) / down.y;
+    vec3 at = position + down * away;
+    float nearness = inversesqrt(max(dot(at, at), 1e-12));
+    return Lobe(ray, at * nearness, ratio, kept, min(away * nearness, 1.0));
 }
 
 #if HAS_REFLECTIONS
@@ -181,10 +180,9 @@ Reflection reflection(Surface s, vec3 ray) {
     float nearest = 1e9, spread = s.roughness * s.roughness;
     Reflection found = Reflection(lobe_from(s.position, s.normal, ray, spread, sharp ? vec3(1.0) : ground_dimming(s)), vec3(0.0), 0.0);
     if (has_ground == 1 && s.position.y > ground_y) {
-        vec3 down = lowered(ray, spread);
-        float away = (ground_y - s.position.y) / down.y;
+        float from_camera = ground_y / found.lobe.below.y;
         if (ray.y < -1e-4) nearest = (ground_y - s.position.y) / ray.y;
-        if (sharp) found.lobe.ratio = ground_ratio(s.position + down * away, 2.0 * spread * away);
+        if (sharp) found.lobe.ratio = ground_ratio(found.lobe.below * from_camera, 2.0 * spread * found.lobe.wide * from_camera);
     }
     int met = -1;
     float met_blur = 0.0;
@@ -212,7 +210,7 @@ Reflection reflection(Surface s, vec3 ray) {
 }
 #elif HAS_RINGS
 // the frame is all that the papers see
-Reflection reflection(Surface s, vec3 ray) { return Reflection(Lobe(ray, ray, vec3(1.0), 1.0), vec3(0.0), 0.0); }
+Reflection reflection(Surface s, vec3 ray) { return Reflection(Lobe(ray, ray, vec3(1.0), 1.0, 1.0), vec3(0.0), 0.0); }
 #else
 Reflection reflection(Surface s, vec3 ray) {
     return Reflection(lobe_from(s.position, s.normal, ray, s.roughness * s.roughness, ground_dimming(s)), vec3(0.0), 0.0);

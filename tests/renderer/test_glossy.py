@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from renderer.equirectangular import pixel_directions
+from renderer.equirectangular import pixel_directions, uv_from_direction
 from renderer.frame import RadianceFrame
 from renderer.gl import Context
 from renderer.light_detection import Detection, Light
@@ -121,3 +121,17 @@ def test_a_lamp_on_the_far_ground_lights_by_the_height_over_it(context: Context)
     lit = free[mask] > 0.2
     assert lit.sum() > 50
     assert ground[mask][lit] / free[mask][lit] == pytest.approx(heights[lit], abs=0.03)
+
+
+def test_what_is_near_on_the_ground_is_not_blurred_as_if_it_were_far(context: Context) -> None:
+    """A small rough ball on the border of a bright and a black half of the ground shows the border, which a lobe as seen from the
+    camera would spread over both sides."""
+    columns = pixel_directions(SIZE[1], SIZE[0])
+    frame = np.where((columns[..., 1] < 0) & (columns[..., 0] < 0), 1.0, 0.0)[..., None].repeat(3, axis=2).astype(np.float32)
+    small = {**ball(0.55), "position": [0.0, -1.5, -2.0], "scale": [0.2, 0.2, 0.2]}
+    found = picture(context, RadianceFrame(frame), scene(small))
+    centre = np.array([0.0, -1.5, -2.0])
+    left, right = (found[int(v), int(u)] for u, v in (
+        uv_from_direction(centre + np.array([side, -0.05, 0.07])) * SIZE for side in (-0.05, 0.05)))
+    assert left > 0.97
+    assert right < 0.01

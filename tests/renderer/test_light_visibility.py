@@ -201,3 +201,20 @@ def test_each_light_has_its_own_shadows(drawn: Drawn) -> None:
     assert np.abs(one_by_one).max() > 0.5
     assert shown(behind_wall, free) == pytest.approx(one_by_one, abs=0.01)
     assert shown(free, behind_wall) == pytest.approx(one_by_one, abs=0.01)
+
+
+@pytest.mark.parametrize("elevation", [36, 42])
+def test_a_shadows_edge_lies_where_the_rays_that_graze_the_caster_end(drawn: Drawn, elevation: float) -> None:
+    """However coarse the depth map is: something far away widens what it has to cover."""
+    height, edge = 0.3, -1.2
+    table = {"mesh": "box", "position": [-1.4, -1.1, -1.6], "scale": [1.6, 0.2, 1.2], "material": MATTE}
+    board = {"mesh": "box", "position": [edge - 1.0, -1.0 + height + 0.01, -1.6], "scale": [2.0, 0.02, 2.4], "material": MATTE}
+    far = {"mesh": "box", "position": [1.6, -1.1, -1.6], "scale": [0.2, 0.2, 0.2], "material": MATTE}
+    lamp = Light(direction(90, elevation), np.full(3, 5.0), np.radians(0.3), id=1)
+    frame = RadianceFrame(np.zeros((1024, 2048, 3), np.float32))
+    picture, _ = drawn(objects(table, board, far), frame, lit_by(lamp))
+    expected = edge - height / np.tan(np.radians(elevation))
+    x = np.linspace(expected - 0.08, expected + 0.08, 161)
+    values = np.array([value_at(picture, [one, -1.0, -1.2]) for one in x])
+    assert values[0] < 0.1 * values[-1]
+    assert x[np.argmax(values > 0.5 * values[-1])] == pytest.approx(expected, abs=0.012)

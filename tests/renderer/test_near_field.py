@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from renderer.near_field import (
     Fit,
     NearField,
     _GroundPatch,
+    form_factor,
     functions,
     surface_points,
 )
@@ -53,7 +55,7 @@ def fitted(it: Body, others: list[Body], ground_y: float | None, radiance: np.nd
 def ratio_at(fit: Fit, points: Any, normals: Any, ground_y: float = -1e9) -> np.ndarray:
     """(n,) of the red channel."""
     return functions(np.atleast_2d(np.array(points, float)), np.atleast_2d(np.array(normals, float)), fit.centre, fit.size,
-                     ground_y) @ fit.coefficients[:, 0]
+                     ground_y, fit.spheres) @ fit.coefficients[:, 0]
 
 
 @pytest.mark.parametrize("mesh", BUILT_IN)
@@ -138,7 +140,7 @@ def test_the_underside_of_a_sphere_on_the_ground_is_dark() -> None:
 
 @pytest.mark.parametrize("gap", [0.3, 0.5, 0.8])
 def test_a_black_wall_takes_its_form_factor_from_the_side_that_faces_it(gap: float) -> None:
-    """That of a square of edge 1 at this distance over its middle; the ten functions leave some of it out."""
+    """That of a square of edge 1 at this distance over its middle; the functions leave some of it out."""
     small = body("box", (0, 0, -3), (0.2, 0.2, 0.2))
     fit = fitted(small, [body("box", (0.1 + gap + 0.05, 0, -3), (0.1, 1, 1))], None)
     half = 0.5 / gap
@@ -146,6 +148,37 @@ def test_a_black_wall_takes_its_form_factor_from_the_side_that_faces_it(gap: flo
     facing, back = 1 - ratio_at(fit, small.solid.centre + np.array([[0.1, 0, 0], [-0.1, 0, 0]]), [[1, 0, 0], [-1, 0, 0]])
     assert 0.7 * form_factor < facing < 1.05 * form_factor
     assert abs(back) < 0.25 * form_factor
+
+
+@pytest.mark.parametrize("normal", [(1.0, 0.0, 0.0), (0.6, 0.8, 0.0), (0.1, 0.995, 0.0), (0.0, 0.0, 1.0), (-0.9, 0.436, 0.0)])
+@pytest.mark.parametrize("distance", [0.7, 1.5])
+def test_the_form_factor_of_a_sphere_is_its_share_of_cosine_weighted_directions(normal: Vector, distance: float) -> None:
+    directions = np.random.default_rng(5).normal(size=(200_000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    weights = np.maximum(directions @ np.array(normal), 0.0)
+    met = np.isfinite(hit("ellipsoid", np.broadcast_to([-distance, 0.0, 0.0], directions.shape), directions)[0])
+    expected = float((weights * met).sum() / weights.sum())
+    found = form_factor(np.zeros((1, 3)), np.array([normal]), np.array([distance, 0.0, 0.0, 0.5]))[0]
+    assert found == pytest.approx(expected, abs=0.03)
+
+
+def test_a_neighbour_darkens_the_side_of_a_sphere_that_faces_it_and_no_other() -> None:
+    """A black ball beside a ball, under a flat sky: against rays from every place."""
+    it, other = body("sphere", (0, 0, -3)), body("sphere", (1.1, 0, -3))
+    fit = fitted(it, [other], None)
+    angles = np.radians([0, 30, 60, 120, 180])
+    normals = np.stack([np.cos(angles), np.sin(angles), np.zeros(5)], axis=1)
+    expected = 1 - form_factor(it.solid.centre + 0.5 * normals, normals, np.array([*other.solid.centre, 0.5]))
+    assert expected[0] < 0.35
+    found = fit.ratio(it.solid.centre + 0.5 * normals, normals, -1e9)[:, 0]
+    assert found == pytest.approx(expected, abs=0.08)
+
+
+def test_a_metal_gives_back_what_it_mirrors() -> None:
+    """Under a sky that is bright on one side a mirror facing it is bright, and a matte thing as it is lit."""
+    seen, irradiance = np.full((1, 3), 4.0), np.full((1, 3), np.pi)
+    assert replace(body("box", (0, 0, -3), albedo=0.5), metallic=1.0).reflects(irradiance, seen) == pytest.approx(2.0)
+    assert body("box", (0, 0, -3), albedo=0.5).reflects(irradiance, seen) == pytest.approx(0.5)
 
 
 def flat_frame(value: float = 1.0) -> RadianceFrame:
@@ -157,13 +190,14 @@ def test_the_shader_evaluates_the_same_functions(context: Context, monkeypatch: 
     centre, pipeline = np.array([0.0, -1.0, -2.0]), Pipeline(context, RadianceFrame, (256, 128))
     coefficients = np.random.default_rng(4).uniform(-0.12, 0.12, (FUNCTIONS, 3))
     coefficients[0] += 1.0
+    spheres = np.array([[0.2, -0.9, -1.0, 0.3], [1.2, -1.0, -2.2, 0.6]])
     one = np.zeros((FUNCTIONS, 3))
     one[0] = 1.0
     wanted = scene({"mesh": "sphere", "position": list(centre), "casts_shadow": False,
                     "material": {"base_color": [0.7, 0.7, 0.7], "roughness": 1.0}})
     pictures = []
     for given in (one, coefficients):
-        fit = Fit(centre, 1.3, given)
+        fit = Fit(centre, 1.3, given, spheres)
         monkeypatch.setattr(pipeline._scene_light._surroundings, "fits", lambda *_, fit=fit: (fit,))
         pipeline._scene_light._last = None
         frame = pipeline.render(flat_frame(), wanted).frame
@@ -177,7 +211,7 @@ def test_the_shader_evaluates_the_same_functions(context: Context, monkeypatch: 
     distance, normals = hit("ellipsoid", np.broadcast_to(-centre, (inside.sum(), 3)), directions[inside])
     assert (np.abs(distance - away[inside]) < 0.5).all()
     at, normals = directions[inside] * distance[:, None], normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    expected = functions(at, normals, centre, 1.3, GROUND) @ coefficients
+    expected = functions(at, normals, centre, 1.3, GROUND, spheres) @ coefficients
     assert np.ptp(expected) > 0.3
     assert (pictures[1] / pictures[0])[inside] == pytest.approx(expected, abs=0.01)
 
