@@ -32,6 +32,7 @@ MOVING_TEXELS = 128
 SETTLED_FRAMES = 8         # that a shadow holds before it is drawn finely again
 MAX_TRIANGLES = 20_000     # of all samples together, for finer proxies: coarse ones show their corners
 MAX_MOVING_TRIANGLES = 6000
+SLACK = np.radians(1.0)    # that a light may move while the tiles that show a shadow are kept
 SHARP = 4                  # texels; a wider penumbra that has just moved does not show them
 MIN_ELEVATION = np.sin(np.radians(3.0))   # of a sample; flatter ones would cast without end
 MAX_REACH_M = 40.0
@@ -128,8 +129,8 @@ class LightShadowStage:
         """The tiles that show what of the ground an object's shadow may cover, None for nothing; kept for as long as it holds."""
         state = _state([placed], ground_y) + bytes([filtered])
         kept = self._tiles.get((light.id, key))
-        if kept is None or kept[0] != state or not hardly_moved(kept[1], light):
-            rect = _covered(placed, light, ground_y, filtered)
+        if kept is None or kept[0] != state or not hardly_moved(kept[1], light, least=SLACK):
+            rect = _covered(placed, replace(light, angular_radius=light.angular_radius + SLACK), ground_y, filtered)
             kept = (state, light, None if rect is None else touched_tiles(outline(rect, ground_y), self._frame_size))
             self._tiles[light.id, key] = kept
         return kept[2]

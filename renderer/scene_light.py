@@ -28,7 +28,7 @@ from renderer.shadow_atlas import ShadowAtlases, ShadowMap
 from renderer.shadow_casters import RealThings
 from renderer.shadow_mapping import screen_space_occlusion
 from renderer.shadow_reach import surrounds_camera
-from renderer.specular import MIN_ROUGHNESS, prefilter_all, quantized_roughness
+from renderer.specular import MIN_ROUGHNESS, Lobe, prefilter_all, quantized_roughness
 from renderer.surfaces import SurfaceStage
 from renderer.surroundings import Surroundings
 from renderer.timings import Timings
@@ -67,6 +67,8 @@ class SceneLightStage:
         self._reference: FrameLight | None = None       # the light that has stayed the same
         self._unchanged = 0                             # for so many readings
         self._illuminations = 0
+        self._lobes: dict[float, Lobe] = {}
+        self._lobes_without: tuple[int, ...] = ()       # lights (ids)
 
     def begin_frame(self, *, patient: bool) -> None:
         """`patient`: what only the light has changed may be lit anew in one of the next frames."""
@@ -142,9 +144,18 @@ class SceneLightStage:
             placement.objects, ground_y, light.soft, light.irradiance, lights)
         receivers, occluders = self._receivers(scene, placement)
         self._illuminations += 1
-        lobes = prefilter_all(light.soft, wanted)
-        return Illumination(light.irradiance, lights, lobes, ground_y, rings, near, receivers, occluders,
+        return Illumination(light.irradiance, lights, self._prefiltered(light, wanted), ground_y, rings, near, receivers, occluders,
                             self._illuminations)
+
+    def _prefiltered(self, light: FrameLight, wanted: set[float]) -> dict[float, Lobe]:
+        """Maps prefiltered for these roughness values; where they may wait and all lights are still there, half of them from this
+        frame, in turn."""
+        lights = tuple(one.id for one in light.detection.lights)
+        kept = {value: lobe for value, lobe in self._lobes.items() if value in wanted and lights == self._lobes_without}
+        old = list(kept)[:-(-len(kept) // 2)] if self._shading.is_patient else list(kept)     # the first are the oldest
+        new = prefilter_all(light.soft, (wanted - kept.keys()) | set(old))
+        self._lobes, self._lobes_without = {**{value: kept[value] for value in kept if value not in new}, **new}, lights
+        return self._lobes
 
     def _receivers(self, scene: Scene, placement: Placement) -> tuple[tuple[Receiver, ...], tuple[Receiver, ...]]:
         """The objects, and the real things that are told of."""
@@ -211,7 +222,7 @@ class SceneLightStage:
 
     def reset(self) -> None:
         """The next light has nothing to do with the last one."""
-        self._reference = None
+        self._reference, self._lobes = None, {}
         self._surroundings.reset()
         self._light_shadows.reset()
         if self._catchers is not None:

@@ -6,6 +6,7 @@ Boxes, ellipsoids and cylinders in their own unit space (edge or diameter 1, cen
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -131,11 +132,11 @@ class Solid:
         matrix = np.asarray(world_from_model @ shape.model_from_unit)
         return Solid(shape.kind, matrix, np.asarray(np.linalg.inv(matrix), dtype=np.float64))
 
-    @property
+    @cached_property
     def centre(self) -> Array:
         return np.asarray(self.world_from_unit[:3, 3])
 
-    @property
+    @cached_property
     def radius(self) -> float:
         """Of a sphere around it."""
         corner = {"box": np.sqrt(3.0), "ellipsoid": 1.0, "cylinder": np.sqrt(2.0)}[self.kind]

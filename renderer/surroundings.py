@@ -15,6 +15,7 @@ from renderer.near_field import Body, Fit, NearField, mean_albedo, surface_point
 from renderer.shapes import Shape, Solid, fitted_shape
 
 Array = NDArray[np.floating]
+MAX_BODIES = 1024          # that are remembered
 NEIGHBOUR_REACH = 4.0     # in sizes of both together; what is farther away covers less than a hundredth of the view
 
 
@@ -23,6 +24,7 @@ class Surroundings:
 
     def __init__(self) -> None:
         self._models: WeakKeyDictionary[GpuMesh, tuple[Shape, Array, Array, Array, float]] = WeakKeyDictionary()
+        self._bodies: dict[tuple[int, ...], tuple[PlacedMesh, Body]] = {}     # by what they follow from
         self._kept: dict[str, tuple[bytes, NearField]] = {}
         self._fits: dict[str, Fit] = {}
         self._bounced: dict[str, Array] = {}
@@ -79,7 +81,15 @@ class Surroundings:
         return {name: self.body(item) for name, item in objects.items()}
 
     def body(self, placed: PlacedMesh) -> Body:
-        """One object as its near field sees it."""
+        """One object as its near field sees it, in any pose."""
+        key = (id(placed.mesh), id(placed.world_from_model), id(placed.surface))
+        if key not in self._bodies:
+            if len(self._bodies) > MAX_BODIES:
+                self._bodies.clear()
+            self._bodies[key] = (placed, self._new_body(placed))    # what is kept with it keeps its ids
+        return self._bodies[key][1]
+
+    def _new_body(self, placed: PlacedMesh) -> Body:
         if placed.mesh not in self._models:
             albedo = np.asarray(np.mean([mean_albedo(part.surface) for part in placed.mesh.parts], axis=0))
             metallic = float(np.mean([part.surface.metallic for part in placed.mesh.parts]))
