@@ -16,6 +16,7 @@ from renderer.light_detection import Light
 from renderer.light_discs import share_below_horizon
 from renderer.light_visibility import LightVisibilityStage, Receiver
 from renderer.mesh import Surface
+from renderer.mirrors import MirrorStage
 from renderer.near_field import FUNCTIONS, Fit
 from renderer.panorama import PanoramaTextures
 from renderer.placement import View
@@ -127,6 +128,7 @@ class ShadingStage:
         self._dfg = context.texture((table.shape[1], table.shape[0]), 2, "f4")
         self._dfg.write(table.tobytes())
         self._visibility = LightVisibilityStage(context, surfaces)
+        self._mirrors = MirrorStage(context, panorama, radiance_texture)
         self.ground_missing = GroundRatioStage(context)
         self._shaded: dict[ViewTarget, _Shaded] = {}
         self._lobe_atlas = context.texture((1, 1), 4, "f4")
@@ -215,8 +217,12 @@ class ShadingStage:
         target, shaded = self._prepared(view, objects)
         visibility, lit_by = self._lit_by(view, target)
         due = shaded.turns.now(shaded.costs(), lit_by, patient=self.is_patient)
-        due += [index for index in view.members if index not in due and (may_mirror(objects[index]) or self._has_rings)]
+        due += [index for index in view.members if index not in due and self._has_rings]
         self._shade(view, target, visibility, objects, due)
+        for index in view.members:
+            if may_mirror(objects[index]):
+                self._mirrors.show(target, view, shaded.rectangles[index])
+                shaded.times += 1
         return target, shaded.times
 
     def draw_still(self, views: list[View], objects: list[PlacedMesh]) -> None:
@@ -291,6 +297,8 @@ class ShadingStage:
             for lobes, mirrors, reflects in ((True, False, False), (True, False, True), (False, True, True)):
                 self._shade_one(view, target, Shading(False, slots, lobes, mirrors, reflects), self._visibility.all_visible,
                                 view.members[0], (0, 0, *view.size))
+                if mirrors:
+                    self._mirrors.show(target, view, (0, 0, *view.size))
         self.set_illumination(illumination)
         shaded.turns = Turns()
 
@@ -314,8 +322,9 @@ class ShadingStage:
         if not rows:        # too many surfaces in one view
             return
         program, triangle = self._shading_program(kind)
-        target.shaded.use()
-        target.shaded.viewport = (0, 0, *view.size)
+        framebuffer = self._mirrors.framebuffer(target, view) if kind.mirrors else target.shaded
+        framebuffer.use()
+        framebuffer.viewport = (0, 0, *view.size)
         self._panorama.bind(program)
         textures = {"radiance_map": self._radiance_texture, "dfg_table": self._dfg, "lobe_atlas": self._lobe_atlas,
                     "surfaces": self._shaded[target].table, "light_visibility": visibility,
@@ -329,9 +338,9 @@ class ShadingStage:
             self._set_uniforms(program, view, {name: unit for unit, name in enumerate(textures, start=FIRST_UNIT)})
         set_uniforms(program, {"ground_missing_rect": self.ground_missing.rect, "surface_range": (min(rows), max(rows)),
                                "has_light_visibility": int(visibility is not self._visibility.all_visible)})
-        target.shaded.scissor = rectangle
+        framebuffer.scissor = rectangle
         triangle.render(moderngl.TRIANGLES, 3)
-        target.shaded.scissor = (0, 0, *target.texture.size)
+        framebuffer.scissor = (0, 0, *target.texture.size)
 
     def _set_uniforms(self, program: moderngl.Program, view: View, units: dict[str, int]) -> None:
         """All that is the same for the objects of a view."""
@@ -372,6 +381,6 @@ class ShadingStage:
 
     def release(self) -> None:
         release_all(*(shaded.table for shaded in self._shaded.values()), self._lobe_atlas, self._dfg, self._visibility,
-                    self.ground_missing)
+                    self.ground_missing, self._mirrors)
         for program, triangle in self._shading.values():
             release_all(triangle, program)

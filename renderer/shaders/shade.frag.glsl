@@ -37,23 +37,14 @@ uniform float mirror_below;             // roughness
 uniform float ground_y;
 uniform int has_ground;
 
-out vec4 radiance;
+layout(location = 0) out vec4 radiance;
+#if HAS_MIRRORS
+layout(location = 1) out vec4 mirror_ray_out;   // where the pixel looks in the frame; alpha: 1 for a mirror's
+layout(location = 2) out vec4 mirror_share_out; // of what is there
+vec3 seen_in_mirror, seen_share;                // of the surface that was shaded last
+#endif
 
 #include "near_field.glsl"
-
-// A mirror's pixel sees a patch of the frame: a few taps over it, and the small map when the patch is larger than that.
-vec3 mirror_radiance(vec3 direction, vec3 step_x, vec3 step_y) {
-    float footprint = max(length(step_x), length(step_y));
-    float pixel = 2.0 * PI / float(frame_size.x);
-    float texel = 2.0 * PI / float(textureSize(radiance_map, 0).x);
-    float coarse = smoothstep(0.5 * texel, texel, footprint);
-    float taps = coarse < 1.0 ? clamp(ceil(footprint / pixel), 1.0, 2.0) : 0.0;
-    vec3 sum = vec3(0.0);
-    for (float i = 0.5; i < taps; i += 1.0)
-        for (float j = 0.5; j < taps; j += 1.0)
-            sum += panorama_radiance(uv_from_direction(direction + step_x * (i / taps - 0.5) + step_y * (j / taps - 0.5)));
-    return mix(sum / max(taps * taps, 1.0), textureLod(radiance_map, uv_from_direction(direction), 0.0).rgb, coarse);
-}
 
 // uv_from_direction to 2e-4 radians, a hundredth of a small map's texel, at a fraction of its cost: a minimax polynomial for the
 // arctangent, and acos by Hastings (Abramowitz & Stegun 4.4.45).
@@ -217,7 +208,7 @@ Reflection reflection(Surface s, vec3 ray) {
 }
 #endif
 
-vec3 shade(Surface s, vec3 view, vec3 mirror_ray, vec3 step_x, vec3 step_y, vec4 visible) {
+vec3 shade(Surface s, vec3 view, vec3 mirror_ray, vec4 visible) {
     float n_dot_v = clamp(dot(s.normal, view), 1e-3, 1.0);
     float alpha = max(s.roughness * s.roughness, 2e-3);
     bool mirror = HAS_MIRRORS == 1 && s.roughness < mirror_below;
@@ -241,11 +232,10 @@ vec3 shade(Surface s, vec3 view, vec3 mirror_ray, vec3 step_x, vec3 step_y, vec4
 #endif
 #endif
 #if HAS_MIRRORS
-    // a loop, because a software renderer runs both sides of an if but leaves a loop that no pixel enters
-    for (int once = mirror ? 1 : 0; once > 0; --once) {
-        bool down = mirror_ray.y < 0.0;
-        mirrored = mirror_radiance(down ? met.lobe.below : mirror_ray, step_x, step_y) * (down ? met.lobe.ratio : vec3(1.0));
-    }
+    bool down = mirror_ray.y < 0.0;
+    mirrored *= mirror ? 0.0 : 1.0;     // mirror.frag.glsl adds the frame
+    seen_in_mirror = down ? met.lobe.below : mirror_ray;
+    seen_share = mirror ? reflectance * s.open * (down ? met.lobe.ratio : vec3(1.0)) * (1.0 - met.hidden) : vec3(0.0);
 #endif
     vec3 dimming = s.roughness < ROUGH ? vec3(1.0) : s.nearby;
     vec3 glossy = (reflectance * s.open) * mix(mirrored * dimming, met.light, met.hidden);
@@ -323,10 +313,11 @@ void main() {
         if (covered && !in_near && !in_far) far.weight += 0.25;
     }
     vec3 direction = normalize(world_from_view * vec3(view_bounds.xy + gl_FragCoord.xy / view_size * view_bounds.zw, 1.0));
-    vec3 mean_reflected = reflect(direction, normalize(near.sample_sum.rgb + vec3(0.0, 1e-12, 0.0)));
-    vec3 step_x = dFdx(mean_reflected), step_y = dFdy(mean_reflected);
     vec4 visible = texelFetch(light_visibility, has_light_visibility * ivec2(gl_FragCoord.xy), 0);
     vec3 total = vec3(0.0);
+#if HAS_MIRRORS
+    mirror_ray_out = mirror_share_out = vec4(0.0);
+#endif
     bool own = near.weight > 0.0 && int(near.first.a) >= surface_range.x && int(near.first.a) <= surface_range.y;
     int count = own ? (far.weight > 0.0 ? 2 : 1) : 0;     // pixels without the object cost nothing
     if (!own) discard;
@@ -335,7 +326,11 @@ void main() {
         Surface s = surface_at(group.sample_sum.rgb / group.members, group.first.a,
                                corner + ivec2(group.first_index & 1, group.first_index >> 1), direction);
         vec3 mirror_ray = dominant_direction(reflect(direction, s.normal), s.normal, s.roughness);
-        total += group.weight * sanitize(shade(s, -direction, mirror_ray, step_x, step_y, visible));
+        total += group.weight * sanitize(shade(s, -direction, mirror_ray, visible));
+#if HAS_MIRRORS
+        if (i == 0) mirror_ray_out = vec4(seen_in_mirror, 1.0);
+        mirror_share_out.rgb += group.weight * seen_share;
+#endif
     }
     radiance = vec4(total, near.weight + far.weight);
 }
