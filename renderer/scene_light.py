@@ -23,7 +23,7 @@ from renderer.light_visibility import Receiver
 from renderer.placement import TileMask, View, tile_grid
 from renderer.placing import Placement
 from renderer.scene import Lighting, Scene
-from renderer.shading import MIRROR_BELOW, Illumination, ShadingStage, is_sharp, may_mirror
+from renderer.shading import MIRROR_BELOW, Illumination, ShadingStage, coat_roughness, is_sharp, may_mirror
 from renderer.shadow_atlas import ShadowAtlases, ShadowMap
 from renderer.shadow_casters import RealThings
 from renderer.shadow_mapping import screen_space_occlusion
@@ -137,6 +137,9 @@ class SceneLightStage:
         wanted = {quantized_roughness(value) for value in found if value >= MIRROR_BELOW and rings is None}
         if rings is None and len(placement.objects) > 1 and any(map(may_mirror, placement.objects.values())):
             wanted.add(MIN_ROUGHNESS)       # for what one mirror sees in another
+        if rings is None:
+            wanted |= {quantized_roughness(coat_roughness(surface)) for item in placement.objects.values()
+                       for surface in item.surfaces if surface.clearcoat > 0}
         lights = tuple(item for item in _rendered(light) if not item.is_wide)
         ground_y = -scene.camera_height if scene.ground.catcher else None
         # the papers' map knows nothing near

@@ -27,7 +27,7 @@ from renderer.surfaces import FIRST_UNIT, MAX_SURFACES, SurfaceStage, ViewTarget
 
 Array = NDArray[np.float64]
 LIGHT_SLOTS = (2, 4, 8)   # lights: each number has a program of its own, with a constant loop
-TABLE_WIDTH = 15       # texels a surface: three, and the near field's; as in near_field.glsl
+TABLE_WIDTH = 17       # texels a surface: three, the near field's as in near_field.glsl, the coat's two as in coat.glsl
 MAX_SOLIDS = 12        # as in reflections.glsl
 MAX_LOBES = 16         # roughness values in one frame; as in shade.frag.glsl
 MIRROR_BELOW = MIN_ROUGHNESS / 2
@@ -59,6 +59,7 @@ class Shading(NamedTuple):
     mirrors: bool
     reflects: bool      # what stands around
     rings: bool = False
+    coat: bool = False
 
 
 @dataclass
@@ -106,6 +107,11 @@ def is_sharp(surface: Surface) -> bool:
     return surface.roughness < 0.6 and surface.metallic > 0.5
 
 
+def coat_roughness(surface: Surface) -> float:
+    """Of a surface's clear coat, which shows no single things: no smoother than the sharpest prefiltered map."""
+    return max(surface.clearcoat_roughness, MIN_ROUGHNESS)
+
+
 def _bordered(one: Array32, cell: Array32) -> None:
     """Write a map into a cell of the atlas that is two texels larger, with what lies across its seam and its poles around it."""
     half = one.shape[1] // 2
@@ -145,7 +151,8 @@ class ShadingStage:
             program = self._context.program("full_screen.vert.glsl", "shade.frag.glsl", {
                 **self._panorama.defines, "DETAILED": int(kind.detailed), "LIGHTS": kind.lights,
                 "HAS_LOBES": int(kind.lobes), "HAS_MIRRORS": int(kind.mirrors),
-                "HAS_REFLECTIONS": int(kind.reflects), "HAS_RINGS": int(kind.rings)})
+                "HAS_REFLECTIONS": int(kind.reflects), "HAS_RINGS": int(kind.rings),
+                "HAS_COAT": int(kind.coat)})
             self._shading[kind] = (program, self._context.gl.vertex_array(program, []))
         return self._shading[kind]
 
@@ -270,7 +277,8 @@ class ShadingStage:
             detailed, self._slots, lobes=(detailed or max(item.roughnesses) >= MIRROR_BELOW) and bool(self._lobe_cells),
             mirrors=may_mirror(item), rings=self._has_rings,
             # the papers reflect the distant frame alone, in mirrors too
-            reflects=not self._has_rings and (item.is_detailed or any(map(is_sharp, item.surfaces))))
+            reflects=not self._has_rings and (item.is_detailed or any(map(is_sharp, item.surfaces))),
+            coat=not self._has_rings and any(surface.clearcoat > 0 for surface in item.surfaces))
 
     def _write_table(self, target: ViewTarget, table: moderngl.Texture) -> None:
         """A row for each surface, from row 1."""
@@ -283,7 +291,9 @@ class ShadingStage:
             if index < len(near):
                 row[3] = (*near[index].centre, 1 / near[index].size)
                 row[4:13].reshape(3, FUNCTIONS)[:] = near[index].coefficients.T
-                row[13:] = near[index].spheres
+                row[13:15] = near[index].spheres
+            coat = coat_roughness(surface)
+            row[15, :2], row[16, :3] = (surface.clearcoat, coat), self._lobe_cells.get(quantized_roughness(coat), (0.0, 0.0, 0.0))
         table.write(rows, viewport=(0, 0, TABLE_WIDTH, len(rows)))
 
     def compile_variants(self, view: View, objects: list[PlacedMesh]) -> None:

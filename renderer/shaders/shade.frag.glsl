@@ -124,7 +124,7 @@ vec3 dominant_direction(vec3 mirrored, vec3 normal, float roughness) {
 #endif
 }
 
-struct Surface { int object; vec3 normal; vec3 position; vec3 color; float metallic; vec3 emissive; float roughness; vec3 lobe; vec3 nearby; vec3 open; };
+struct Surface { int row; int object; vec3 normal; vec3 position; vec3 color; float metallic; vec3 emissive; float roughness; vec3 lobe; vec3 nearby; vec3 open; };
 
 const float ROUGH = 0.6;    // from here on a lobe sees so much at once that what is near dims it as it dims diffuse light
 
@@ -208,6 +208,10 @@ Reflection reflection(Surface s, vec3 ray) {
 }
 #endif
 
+#if HAS_COAT
+#include "coat.glsl"
+#endif
+
 vec3 shade(Surface s, vec3 view, vec3 mirror_ray, vec4 visible) {
     float n_dot_v = clamp(dot(s.normal, view), 1e-3, 1.0);
     float alpha = max(s.roughness * s.roughness, 2e-3);
@@ -241,6 +245,9 @@ vec3 shade(Surface s, vec3 view, vec3 mirror_ray, vec4 visible) {
     vec3 glossy = (reflectance * s.open) * mix(mirrored * dimming, met.light, met.hidden);
     vec3 e = filtered_light(s.normal, irradiance_cell) * (s.nearby * s.open);
     float flatter = ground_foreshortening(s.position);
+#if HAS_COAT
+    vec4 lit = visible;
+#endif
     for (int i = 0; i < LIGHTS; ++i) {
         float cosine = dot(s.normal, light_direction[i]), between = 1.0 + dot(view, light_direction[i]);
         float shorten = inversesqrt(max(2.0 * between, 1e-6));      // of light and view added up, which is the half vector
@@ -254,7 +261,12 @@ vec3 shade(Surface s, vec3 view, vec3 mirror_ray, vec4 visible) {
         // what a mirror shows of the light is in the frame already
         glossy += mirror ? vec3(0.0) : arriving * fresnel * compensation * spread;
     }
-    return s.color * (1.0 - s.metallic) * (1.0 - reflectance) * e / PI + glossy + s.emissive;
+    vec3 base = s.color * (1.0 - s.metallic) * (1.0 - reflectance) * e / PI + glossy + s.emissive;
+#if HAS_COAT
+    return coated(s, base, view, n_dot_v, lit);
+#else
+    return base;
+#endif
 }
 
 // The surface under one sample, or under the mean of samples that agree.
@@ -276,6 +288,7 @@ Surface surface_at(vec3 normal_times_distance, float surface, ivec2 sample_pixel
     s.metallic = color.a;
     s.emissive = emissive.rgb;
     s.roughness = emissive.a;
+    s.row = int(surface);
     s.object = int(texelFetch(surfaces, ivec2(2, int(surface)), 0).w);
     float open_share = 1.0 - fract(surface) / 0.9;
 #if DETAILED

@@ -78,6 +78,29 @@ def test_a_texture_repeats_as_its_sampler_says(context: Context, tmp_path: Path,
     assert [middle(found, across)[1] for across in (-0.75, -0.25, 0.25, 0.75)] == pytest.approx(expected, abs=0.03)
 
 
+def coated(strength: float, **base: Any) -> dict[str, Any]:
+    return {"pbrMetallicRoughness": base, "extensions": {"KHR_materials_clearcoat": {
+        "clearcoatFactor": strength, "clearcoatRoughnessFactor": 0.2}}}
+
+
+def test_a_clear_coat_adds_no_energy_and_reflects_as_a_dielectric(context: Context, tmp_path: Path) -> None:
+    for roughness in (0.3, 0.8):        # a white furnace, under the coat a white metal
+        white = quad(coated(1.0, metallicFactor=1.0, roughnessFactor=roughness))
+        assert middle(drawn(context, tmp_path, white)) == pytest.approx([1.0] * 3, abs=0.03)
+    black = {"baseColorFactor": [0, 0, 0, 1], "metallicFactor": 1.0, "roughnessFactor": 1.0}
+    dark = middle(drawn(context, tmp_path, quad(coated(0.0, **black))))
+    for strength in (0.5, 1.0):         # seen from straight ahead: the reflectance of glass
+        found = middle(drawn(context, tmp_path, quad(coated(strength, **black))))
+        assert found - dark == pytest.approx([0.04 * strength] * 3, abs=0.008)
+
+
+def test_a_clear_coat_has_a_highlight_of_its_own(context: Context, tmp_path: Path) -> None:
+    sun = sky_with_sun(180, 0, size=SIZE, sky=0.0, radius_deg=3.0)     # behind the camera: mirrored straight ahead
+    matte = {"baseColorFactor": [0.2, 0.2, 0.2, 1], "metallicFactor": 0.0, "roughnessFactor": 1.0}
+    plain, shiny = (middle(drawn(context, tmp_path, quad(coated(strength, **matte)), sun)) for strength in (0.0, 1.0))
+    assert (shiny > 2 * plain).all()
+
+
 def test_vertex_colours_are_factors(context: Context, tmp_path: Path) -> None:
     model = quad({"pbrMetallicRoughness": {"baseColorFactor": [1, 0.5, 1, 1], "metallicFactor": 0.0}},
                  COLOR_0=[[1, 1, 0, 1]] * 4)
