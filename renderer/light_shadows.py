@@ -140,7 +140,7 @@ class LightShadowStage:
         if not rects:
             return None
         rect = union(rects)
-        reserved = self._reserve(rect, ground_y, int(np.ceil(np.sqrt(len(members)))) * (CELL if is_fine else MOVING_TEXELS))
+        reserved = self._reserve(rect, ground_y, int(np.sqrt(len(members)) * (CELL if is_fine else MOVING_TEXELS)))
         if reserved is None:
             return None
         place, texels = reserved
@@ -167,7 +167,7 @@ class LightShadowStage:
         if not rects:
             return None
         rect = union(rects)
-        reserved = self._reserve(rect, ground_y, int(np.ceil(np.sqrt(len(members)))) * CELL)
+        reserved = self._reserve(rect, ground_y, int(np.sqrt(len(members)) * CELL))
         if reserved is None:
             return None
         place, texels = reserved
