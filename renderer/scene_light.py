@@ -23,12 +23,13 @@ from renderer.light_visibility import Receiver
 from renderer.placement import TileMask, View, tile_grid
 from renderer.placing import Placement
 from renderer.scene import Lighting, Scene
-from renderer.shading import MIRROR_BELOW, Illumination, ShadingStage, coat_roughness, is_sharp, may_mirror
+from renderer.shading import MIRROR_BELOW, Illumination, ShadingStage, is_sharp, may_mirror
 from renderer.shadow_atlas import ShadowAtlases, ShadowMap
 from renderer.shadow_casters import RealThings
 from renderer.shadow_mapping import screen_space_occlusion
 from renderer.shadow_reach import surrounds_camera
 from renderer.specular import MIN_ROUGHNESS, Lobe, prefilter_all, quantized_roughness
+from renderer.surface_table import coat_roughness
 from renderer.surfaces import SurfaceStage
 from renderer.surroundings import Surroundings
 from renderer.timings import Timings

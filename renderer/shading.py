@@ -15,21 +15,19 @@ from renderer.ground_ratio import GroundRatioStage
 from renderer.light_detection import Light
 from renderer.light_discs import share_below_horizon
 from renderer.light_visibility import LightVisibilityStage, Receiver
+from renderer.lobe_atlas import LobeAtlas
 from renderer.mesh import Surface
 from renderer.mirrors import MirrorStage
-from renderer.near_field import FUNCTIONS, Fit
+from renderer.near_field import Fit
 from renderer.panorama import PanoramaTextures
 from renderer.placement import View
 from renderer.shading_turns import MIN_PIXELS, SHARE, LitBy, Turns
-from renderer.shapes import KINDS
-from renderer.specular import MIN_ROUGHNESS, Array32, Lobe, dfg_table, quantized_roughness
+from renderer.specular import MIN_ROUGHNESS, Array32, Lobe, dfg_table
+from renderer.surface_table import TABLE_WIDTH, reflected_solids, surface_rows
 from renderer.surfaces import FIRST_UNIT, MAX_SURFACES, SurfaceStage, ViewTarget
 
 Array = NDArray[np.float64]
 LIGHT_SLOTS = (2, 4, 8)   # lights: each number has a program of its own, with a constant loop
-TABLE_WIDTH = 17       # texels a surface: three, the near field's as in near_field.glsl, the coat's two as in coat.glsl
-MAX_SOLIDS = 12        # as in reflections.glsl
-MAX_LOBES = 16         # roughness values in one frame; as in shade.frag.glsl
 MIRROR_BELOW = MIN_ROUGHNESS / 2
 
 
@@ -107,19 +105,6 @@ def is_sharp(surface: Surface) -> bool:
     return surface.roughness < 0.6 and surface.metallic > 0.5
 
 
-def coat_roughness(surface: Surface) -> float:
-    """Of a surface's clear coat, which shows no single things: no smoother than the sharpest prefiltered map."""
-    return max(surface.clearcoat_roughness, MIN_ROUGHNESS)
-
-
-def _bordered(one: Array32, cell: Array32) -> None:
-    """Write a map into a cell of the atlas that is two texels larger, with what lies across its seam and its poles around it."""
-    half = one.shape[1] // 2
-    cell[1:-1, 1:-1] = one
-    cell[0, 1:-1], cell[-1, 1:-1] = np.roll(one[0], half, axis=0), np.roll(one[-1], half, axis=0)
-    cell[:, 0], cell[:, -1] = cell[:, -2], cell[:, 1]
-
-
 class ShadingStage:
     """Owns the shading programs and their look-up textures."""
 
@@ -137,14 +122,12 @@ class ShadingStage:
         self._mirrors = MirrorStage(context, panorama, radiance_texture)
         self.ground_missing = GroundRatioStage(context)
         self._shaded: dict[ViewTarget, _Shaded] = {}
-        self._lobe_atlas = context.texture((1, 1), 4, "f4")
+        self._lobes = LobeAtlas(context)
         self._uniforms: dict[str, object] = {}
         self._illumination: Illumination | None = None
         self.is_patient = False     # whether objects may wait a few frames for a light that has changed
         self._set_for: dict[Shading, View] = {}     # whose uniforms each program has
         self._slots = LIGHT_SLOTS[0]
-        self._lobe_cells: dict[float, tuple[float, float, float]] = {}
-        self._sharpest = (0.0, 0.0, 0.0)
 
     def _shading_program(self, kind: Shading) -> tuple[moderngl.Program, moderngl.VertexArray]:
         if kind not in self._shading:
@@ -168,8 +151,9 @@ class ShadingStage:
             below[:len(lights)] = [share_below_horizon(light) for light in lights]
         for index, light in enumerate(lights):
             directions[index], irradiances[index], radii[index] = light.direction, light.irradiance, light.angular_radius
+        self._lobes.fill(illumination.irradiance, illumination.lobes)
         self._uniforms = {
-            **self._set_lobes(illumination.irradiance, illumination.lobes),
+            **self._lobes.uniforms,
             "light_direction": directions, "light_irradiance": irradiances, "light_radius": radii,
             "light_below": below,
             "mirror_below": MIRROR_BELOW,
@@ -188,30 +172,6 @@ class ShadingStage:
         self._set_for.clear()
         if self._illumination is not None:
             self._illumination = replace(self._illumination, receivers=receivers, occluders=occluders)
-
-    def _set_lobes(self, irradiance: Array32, lobes: dict[float, Lobe]) -> dict[str, object]:
-        """Stack the filtered maps in one texture, what is under the horizon beside what is over it, each with a border."""
-        pairs = [(irradiance, irradiance), *((lobe.above, lobe.below) for _, lobe in sorted(lobes.items())[:MAX_LOBES])]
-        width = max(left.shape[1] for left, _ in pairs) + 2
-        height = sum(left.shape[0] + 2 for left, _ in pairs)
-        atlas = np.zeros((height, 2 * width, 4), dtype="f4")
-        cells, top = [], 0
-        for pair in pairs:
-            rows, columns = pair[0].shape[:2]
-            for side, one in enumerate(pair):
-                _bordered(one, atlas[top:top + rows + 2, side * width:side * width + columns + 2, :one.shape[2]])
-            cells.append((columns / (2 * width), (top + 1) / height, rows / height))
-            top += rows + 2
-        self._lobe_cells = dict(zip(sorted(lobes), cells[1:], strict=False))
-        self._sharpest = cells[min(1, len(cells) - 1)]
-        table = np.zeros((MAX_LOBES, 4))
-        for index, (roughness, cell_uv) in enumerate(self._lobe_cells.items()):
-            table[index] = (roughness, *cell_uv)
-        if self._lobe_atlas.size != (2 * width, height):
-            self._lobe_atlas.release()
-            self._lobe_atlas = self._context.texture((2 * width, height), 4, "f4")
-        self._lobe_atlas.write(atlas)
-        return {"lobe_count": len(self._lobe_cells), "lobe": table, "lobe_border": 0.5 / width, "irradiance_cell": cells[0]}
 
     def draw(self, view: View, objects: list[PlacedMesh]) -> Drawn:
         """Draw and shade the view's members."""
@@ -257,7 +217,9 @@ class ShadingStage:
         shaded = self._shaded[target]
         number = None if self._illumination is None else self._illumination.number
         if is_new or shaded.table_of != number:
-            self._write_table(target, shaded.table)
+            near = () if self._illumination is None else self._illumination.near
+            rows = surface_rows(target.surfaces, near, self._lobes)
+            shaded.table.write(rows, viewport=(0, 0, TABLE_WIDTH, len(rows)))
             shaded.table_of = number
         if is_new:
             shaded.turns = Turns()
@@ -274,27 +236,11 @@ class ShadingStage:
         """What an object's pixels need."""
         detailed = len(target.samples) > 1
         return Shading(
-            detailed, self._slots, lobes=(detailed or max(item.roughnesses) >= MIRROR_BELOW) and bool(self._lobe_cells),
+            detailed, self._slots, lobes=(detailed or max(item.roughnesses) >= MIRROR_BELOW) and bool(self._lobes),
             mirrors=may_mirror(item), rings=self._has_rings,
             # the papers reflect the distant frame alone, in mirrors too
             reflects=not self._has_rings and (item.is_detailed or any(map(is_sharp, item.surfaces))),
             coat=not self._has_rings and any(surface.clearcoat > 0 for surface in item.surfaces))
-
-    def _write_table(self, target: ViewTarget, table: moderngl.Texture) -> None:
-        """A row for each surface, from row 1."""
-        rows = np.zeros((len(target.surfaces) + 1, TABLE_WIDTH, 4), dtype="f4")
-        near = () if self._illumination is None else self._illumination.near
-        for row, (surface, index) in zip(rows[1:], target.surfaces, strict=True):
-            row[0], row[1] = (*surface.base_color[:3], surface.metallic), (*surface.emissive, surface.roughness)
-            row[2] = (*self._lobe_cells.get(quantized_roughness(surface.roughness), (0.0, 0.0, 0.0)), index)
-            row[4, 0] = row[7, 0] = row[10, 0] = 1.0        # what is near makes no difference
-            if index < len(near):
-                row[3] = (*near[index].centre, 1 / near[index].size)
-                row[4:13].reshape(3, FUNCTIONS)[:] = near[index].coefficients.T
-                row[13:15] = near[index].spheres
-            coat = coat_roughness(surface)
-            row[15, :2], row[16, :3] = (surface.clearcoat, coat), self._lobe_cells.get(quantized_roughness(coat), (0.0, 0.0, 0.0))
-        table.write(rows, viewport=(0, 0, TABLE_WIDTH, len(rows)))
 
     def compile_variants(self, view: View, objects: list[PlacedMesh]) -> None:
         """Shade a view that has been drawn, once with each program that undetailed objects may need."""
@@ -336,7 +282,7 @@ class ShadingStage:
         framebuffer.use()
         framebuffer.viewport = (0, 0, *view.size)
         self._panorama.bind(program)
-        textures = {"radiance_map": self._radiance_texture, "dfg_table": self._dfg, "lobe_atlas": self._lobe_atlas,
+        textures = {"radiance_map": self._radiance_texture, "dfg_table": self._dfg, "lobe_atlas": self._lobes.texture,
                     "surfaces": self._shaded[target].table, "light_visibility": visibility,
                     "ground_missing": self.ground_missing.texture,
                     **({"ring_map": self._illumination.rings} if kind.rings and self._illumination else {}),
@@ -355,32 +301,11 @@ class ShadingStage:
     def _set_uniforms(self, program: moderngl.Program, view: View, units: dict[str, int]) -> None:
         """All that is the same for the objects of a view."""
         left, right, bottom, top = view.bounds
-        set_uniforms(program, {**units, **self._solids(view), **self._uniforms,
+        receivers = () if self._illumination is None else self._illumination.receivers
+        set_uniforms(program, {**units, **reflected_solids(receivers, view.members, self._lobes), **self._uniforms,
                                "world_from_view": view.axes,  # GL reads rows as columns: the transpose
                                "camera_y": view.camera_y,
                                "view_bounds": (left, bottom, right - left, top - bottom), "view_size": view.size})
-
-    def _solids(self, view: View) -> dict[str, object]:
-        """The objects nearest to a view's members, which they may reflect."""
-        receivers = () if self._illumination is None else self._illumination.receivers
-        if len(receivers) < 2:
-            return {"solid_count": 0}
-        centre = np.mean([receivers[index].body.solid.centre for index in view.members], axis=0)
-        distance = [float(np.linalg.norm(item.body.solid.centre - centre)) for item in receivers]
-        nearest = sorted(range(len(receivers)), key=distance.__getitem__)[:MAX_SOLIDS]
-        matrices, colors, spheres = np.zeros((MAX_SOLIDS, 4, 4)), np.zeros((MAX_SOLIDS, 4)), np.zeros((MAX_SOLIDS, 4))
-        kinds, lobes = np.zeros((MAX_SOLIDS, 3)), np.zeros((MAX_SOLIDS, 3))
-        for slot, index in enumerate(nearest):
-            item = receivers[index]
-            surface = item.placed.surfaces[0]
-            matrices[slot] = item.body.solid.unit_from_world.T
-            spheres[slot] = (*item.body.solid.centre, item.body.solid.radius)
-            colors[slot] = (*item.body.color, index)
-            cell = self._lobe_cells.get(quantized_roughness(surface.roughness))
-            kinds[slot] = (KINDS.index(item.body.solid.kind), surface.metallic, cell is None)
-            lobes[slot] = self._sharpest if cell is None else cell
-        return {"solid_count": len(nearest), "unit_from_world": matrices, "solid_color": colors, "solid_kind": kinds,
-                "solid_lobe": lobes, "solid_sphere": spheres}
 
     def reset(self) -> None:
         """The next light has nothing to do with the last one."""
@@ -390,7 +315,7 @@ class ShadingStage:
             shaded.turns = Turns()
 
     def release(self) -> None:
-        release_all(*(shaded.table for shaded in self._shaded.values()), self._lobe_atlas, self._dfg, self._visibility,
+        release_all(*(shaded.table for shaded in self._shaded.values()), self._lobes, self._dfg, self._visibility,
                     self.ground_missing, self._mirrors)
         for program, triangle in self._shading.values():
             release_all(triangle, program)
