@@ -79,8 +79,8 @@ async def test_a_worker_that_gets_ready_ends_the_failure(monkeypatch: pytest.Mon
             sys.exit(9)
         {READY.strip()}
         while True:
-            receive_message(connection)
-            send({{"type": "stats"}})
+            send({{"type": "state", "source": "idle", "detail": None, "input": None, "output": None, "flags": []}})
+            time.sleep(0.2)
     """
     async with running(program, monkeypatch, tmp_path) as stream:
         await until(lambda: stream.state == "failed")
