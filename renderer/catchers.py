@@ -31,6 +31,7 @@ from renderer.tile_views import views_of_tiles
 Array = NDArray[np.floating]
 MAX_SOLIDS = 12            # as in solids.glsl
 GIVING_BACK = 3            # of them; as in catcher.frag.glsl
+MUCH = 3                   # times as many tiles as are needed any more: views are found anew
 PATIENT_PIXELS = 60_000    # of views that are lit anew in one frame, where they may wait
 NORMALS = (16, 32)         # rows and columns of the irradiance map
 
@@ -63,10 +64,10 @@ class CatcherLayer:
 
 @dataclass(frozen=True)
 class _Reach:
-    """The views of everything that a shadow may reach, with some slack for the lights, and what they were found for."""
+    """The views of everything that a shadow may reach, with some slack for the lights; how many tiles it was without."""
 
-    state: tuple[bytes, ...]
     tiles: TileMask
+    needed: int
     views: tuple[View, ...]
 
 
@@ -122,11 +123,10 @@ class CatcherStage:
             self._ambient.write(np.pad(values, ((0, 0), (0, 0), (0, 1))).astype("f4").tobytes())
         self._light = light
         self._find_surfaces()
-        state = tuple(item.placed.state() for item in (*self._things, *self._casters))
-        kept = self._reach
-        if kept is None or kept.state != state or not (self._tiles(ground, 0.0) <= kept.tiles).all():
+        kept, needed = self._reach, self._tiles(ground, 0.0)
+        if kept is None or not (needed <= kept.tiles).all() or MUCH * needed.sum() < kept.needed:
             tiles = self._tiles(ground, SLACK)
-            self._reach = kept = _Reach(state, tiles, self._views(tiles))
+            self._reach = kept = _Reach(tiles, int(needed.sum()), self._views(tiles))
         return kept.views
 
     def begin_frame(self, *, patient: bool) -> None:
@@ -145,9 +145,9 @@ class CatcherStage:
 
     def _find_surfaces(self) -> None:
         """Where the frame shows real things, unless they stand as they stood."""
-        state = (bytes([self._catching]), *(item.placed.state() for item in self._things))
+        state = (b"%d" % self._catching, *(item.placed.state() for item in self._things))
         if self._surfaces_of != state:
-            self._surfaces_of = state
+            self._surfaces_of, self._reach = state, None
             things = [(item.placed, item.body) for item in self._things]
             self._all, self._catchers = (surface_tiles(some, self._frame_size) for some in (things, things[:self._catching]))
 
@@ -160,7 +160,7 @@ class CatcherStage:
         return tiles
 
     def _views(self, tiles: TileMask) -> tuple[View, ...]:
-        farthest = float(np.nanmax(np.linalg.norm(self._all.places, axis=-1) + self._all.sizes, initial=1.0))
+        farthest = float(np.nan_to_num(np.linalg.norm(self._all.places, axis=-1) + self._all.sizes).max(initial=1.0))
         return views_of_tiles(tiles, self._frame_size, farthest, tuple(range(len(self._things))))
 
     def picture(self, view: View) -> moderngl.Texture:

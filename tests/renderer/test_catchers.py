@@ -185,3 +185,12 @@ def test_a_catcher_is_drawn_anew_when_the_light_or_an_object_is_another(context:
     pipeline.release()
     assert seen[0] == pytest.approx(seen[1], abs=0.01)
     assert np.ptp(seen) > 0.1
+
+
+def test_catchers_that_are_not_seen_or_many_do_no_harm(context: Context) -> None:
+    frame = sky_with_sun(40, 50, size=SIZE)
+    alone = rendered(context, frame, objects=[BALL])
+    below = surface("catcher", [0, FLOOR - 3.0, -2.0], [1, 1, 1], "below")
+    far = [surface("catcher", [0.01 * i, 3.0, 50.0], [0.001, 0.001, 0.001], f"speck-{i}") for i in range(200)]
+    assert np.allclose(rendered(context, frame, objects=[BALL], local_scene=[below, *far]), alone, atol=0.02)
+    assert np.isfinite(rendered(context, frame, objects=[BALL], local_scene=[below], ground={"catcher": False})).all()
