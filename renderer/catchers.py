@@ -12,6 +12,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import moderngl
 import numpy as np
@@ -97,7 +98,7 @@ class CatcherStage:
         self._visibility = LightVisibilityStage(context, surfaces)
         self._ambient = context.texture(NORMALS[::-1], 4, "f4", wrap_x=True)
         self._normals = pixel_directions(*NORMALS)
-        self._pictures: dict[ViewTarget, _Picture] = {}
+        self._pictures: WeakKeyDictionary[ViewTarget, _Picture] = WeakKeyDictionary()
         self._reach: _Reach | None = None
         self._surfaces_of: tuple[bytes, ...] | None = None
         self._all = self._catchers = SurfaceTiles(np.zeros((0, 0, 3)), np.zeros((0, 0)))

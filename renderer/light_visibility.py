@@ -7,6 +7,7 @@ once for as long as neither objects nor light move; the shading of a frame then 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import moderngl
 import numpy as np
@@ -65,7 +66,7 @@ class LightVisibilityStage:
         self._programs = [context.program("full_screen.vert.glsl", "light_visibility.frag.glsl", {"FINE": fine})
                           for fine in (0, 1)]
         self._triangles = [gl.vertex_array(program, []) for program in self._programs]
-        self._kept: dict[ViewTarget, _Kept] = {}
+        self._kept: WeakKeyDictionary[ViewTarget, _Kept] = WeakKeyDictionary()
         self._drawn = 0
         self.all_visible = context.texture((1, 1), 4, "f1", linear=False)
         self.all_visible.write(b"\xff\xff\xff\xff")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from weakref import WeakKeyDictionary
+
 import moderngl
 
 from renderer.gl import Context, release_all, set_uniforms
@@ -31,7 +33,7 @@ class MirrorStage:
         self._context, self._panorama, self._radiance_texture = context, panorama, radiance_texture
         self._program = context.program("full_screen.vert.glsl", "mirror.frag.glsl", panorama.defines)
         self._triangle = context.gl.vertex_array(self._program, [])
-        self._buffers: dict[ViewTarget, _Buffers] = {}
+        self._buffers: WeakKeyDictionary[ViewTarget, _Buffers] = WeakKeyDictionary()
 
     def framebuffer(self, target: ViewTarget, view: View) -> moderngl.Framebuffer:
         """Where a view's mirrors are shaded into."""

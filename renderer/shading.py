@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import moderngl
 import numpy as np
@@ -121,7 +122,7 @@ class ShadingStage:
         self._visibility = LightVisibilityStage(context, surfaces)
         self._mirrors = MirrorStage(context, panorama, radiance_texture)
         self.ground_missing = GroundRatioStage(context)
-        self._shaded: dict[ViewTarget, _Shaded] = {}
+        self._shaded: WeakKeyDictionary[ViewTarget, _Shaded] = WeakKeyDictionary()
         self._lobes = LobeAtlas(context)
         self._uniforms: dict[str, object] = {}
         self._illumination: Illumination | None = None

@@ -18,13 +18,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from weakref import WeakKeyDictionary
 
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
 from renderer.gl import Context, release_all, set_uniforms
-from renderer.placement import NEAR_M, TILE, View, plan_views, touched_tiles
+from renderer.placement import MAX_VIEW_SIZE, NEAR_M, TILE, View, plan_views, touched_tiles
 from renderer.scene import Ground
 from renderer.surfaces import ViewTarget
 from renderer.tile_views import cube_face_of_tiles
@@ -32,6 +33,7 @@ from renderer.tile_views import cube_face_of_tiles
 Array = NDArray[np.float64]
 UP = np.array([0.0, 1.0, 0.0])
 MAX_HALF_ANGLE = np.radians(68.0)  # of a mirrored view: it need not be as even as one of the objects themselves
+MAX_FACE_HALF_ANGLE = np.radians(75.0)     # of a cube's face and what blurs into it: beyond, nearly all of a view is its rim
 MAX_SPREAD = 0.3           # standard deviation in radians
 COARSE_SPREAD = 0.03       # from here on half the resolution is enough
 REACH = 2.5                # standard deviations that the blur reaches
@@ -66,8 +68,8 @@ def mirrored_views(outlines: list[Array], ground: Ground, ground_y: float, frame
 def _own_tiles(view: View, frame_size: tuple[int, int], spread: float) -> View:
     """A cube face as a view for those of its tiles whose middle it shows, wide enough to show all of them, and what blurs into
     them: one view a tile is all that the composite takes."""
-    half = float(np.tan(np.pi / 4 + 1.5 * np.pi * TILE / frame_size[1] + REACH * spread))
-    size = tuple(int(np.ceil(side * half / view.bounds[1])) for side in view.size)
+    half = float(np.tan(min(np.pi / 4 + 1.5 * np.pi * TILE / frame_size[1] + REACH * spread, MAX_FACE_HALF_ANGLE)))
+    size = tuple(min(int(np.ceil(side * half / view.bounds[1])), MAX_VIEW_SIZE) for side in view.size)
     return replace(view, bounds=(-half, half, -half, half), size=(size[0], size[1]), cube_axis=-1,
                    tiles=view.tiles & (cube_face_of_tiles(frame_size) == view.cube_axis))
 
@@ -120,7 +122,7 @@ class FloorBlurStage:
         self._distance = context.program("full_screen.vert.glsl", "floor_distance.frag.glsl")
         self._blur = context.program("full_screen.vert.glsl", "floor_blur.frag.glsl")
         self._triangles = [context.gl.vertex_array(program, []) for program in (self._distance, self._blur)]
-        self._blurred: dict[ViewTarget, _Blurred] = {}
+        self._blurred: WeakKeyDictionary[ViewTarget, _Blurred] = WeakKeyDictionary()
 
     def run(self, view: View, target: ViewTarget, number: int, spread: float) -> moderngl.Texture:
         """The target's picture, blurred by `spread` radians where the way behind the floor is long. `number`: another one for

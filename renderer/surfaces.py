@@ -27,6 +27,7 @@ NO_POWER_OF_TWO = 8       # added to them: llvmpipe compiles other programs for 
 MIRRORED_STEP = 64        # odd multiples for mirrored views: their mip levels 1 to 6 lose no texels
 FIRST_UNIT = 8            # texture units after the panorama's
 BELOW_NOTHING = -1e9
+MAX_IDLE_PIXELS = 1_500_000  # of targets that no view uses, some 100 bytes each
 MAX_SURFACES = 512
 ALPHA_MODES = ("opaque", "mask", "blend")  # as in material.glsl
 
@@ -81,6 +82,8 @@ class ViewTarget:
         self.shaded = gl.framebuffer([self.texture])
         self.view: View | None = None       # whose surfaces are in the samples
         self.surfaces: list[tuple[Surface, int]] = []   # from 1 in the samples; each with the index of its object
+        self.used = 0                       # the greater the later
+        self.pixels = size[0] * size[1]
 
     def release(self) -> None:
         release_all(self.framebuffer, self.shaded, self.texture, self.silhouette, *self.samples, self._depth)
@@ -92,6 +95,7 @@ class SurfaceStage:
     def __init__(self, context: Context) -> None:
         self._context = context
         self._targets: dict[tuple[int, int, bool, bool], list[ViewTarget]] = {}
+        self._uses = itertools.count()
         self.programs = {
             f"{what}{' detailed' if detailed else ''}":
                 context.program(f"{vertex}.vert.glsl", f"{what}.frag.glsl", {"DETAILED": int(detailed)})
@@ -145,11 +149,25 @@ class SurfaceStage:
         gl.enable_only(moderngl.NOTHING)
 
     def keep(self, views: list[View]) -> None:
-        """Surfaces of these views stay as drawn until the views are others; the targets of all other views are free."""
+        """Surfaces of these views stay as drawn until the views are others; the targets of all other views are free, and the first
+        to have been is given up where they are too many."""
         kept = {id(view) for view in views}
         for target in itertools.chain(*self._targets.values()):
             if id(target.view) not in kept:
                 target.view = None
+        self._give_up_idle()
+
+    def _give_up_idle(self) -> None:
+        idle = sorted((target.used, key, target) for key, targets in self._targets.items()
+                      for target in targets if target.view is None)
+        pixels = sum(target.pixels for _, _, target in idle)
+        for _, key, target in idle:
+            if pixels <= MAX_IDLE_PIXELS:
+                break
+            pixels -= target.pixels
+            self._targets[key].remove(target)
+            self._context.rest()
+            target.release()
 
     def _target(self, view: View, detailed: bool) -> ViewTarget:
         step, more = (SIZE_STEP, NO_POWER_OF_TWO) if view.mirror_y is None else (2 * MIRRORED_STEP, MIRRORED_STEP)
@@ -157,11 +175,13 @@ class SurfaceStage:
         targets = self._targets.setdefault((width, height, detailed, view.mirror_y is not None), [])
         for target in targets:
             if target.view is view:
+                target.used = next(self._uses)
                 return target
         free = next((target for target in targets if target.view is None), None)
         if free is None:
             free = ViewTarget(self._context, (width, height), detailed)
             targets.append(free)
+        free.used = next(self._uses)
         return free
 
     def _draw_mirrored(self, framebuffer: moderngl.Framebuffer, size: tuple[int, int], name: str, view: View,

@@ -14,6 +14,7 @@ from renderer.light_detection import Detection, Light
 from renderer.light_reading import FrameLight
 from renderer.pipeline import Pipeline
 from renderer.scene import Scene
+from renderer.surfaces import MAX_IDLE_PIXELS
 from tests.renderer.frames import direction, scene, sky_with_sun
 
 SIZE = (256, 128)
@@ -107,3 +108,21 @@ def test_objects_of_which_none_throws_a_shadow(context: Context) -> None:
     assert (picture != frame.rgb).any()
     u, v = uv_from_direction(np.array([-1.4, -1.6, -3.2])) * SIZE
     assert (picture[int(v), int(u)] == frame.rgb[int(v), int(u)]).all()
+
+
+def test_views_of_ever_other_sizes_do_not_pile_up(context: Context) -> None:
+    """A long live event: things of all sizes come and go, a rough specular floor among them."""
+    pipeline = Pipeline(context, RadianceFrame, (1024, 512))
+    frame = sky_with_sun(30, 50, size=(1024, 512))
+    light, _ = pipeline.analyse(frame)
+    random = np.random.default_rng(3)
+    for _ in range(60):
+        size = 10 ** random.uniform(-1.0, 0.5)
+        item = {"id": "o", "mesh": "box", "position": [*random.uniform(-2, 2, 2), -2.5 - size], "scale": [size, size / 2, size]}
+        document = {"objects": [item], "ground": {"specular": float(random.choice([0.0, 0.3])), "roughness": 0.9}}
+        rendered = pipeline.render(frame, Scene.model_validate(document), light=light)
+        assert isinstance(rendered.frame, RadianceFrame)
+        assert np.isfinite(rendered.frame.rgb).all()
+    targets = [target for group in pipeline._surfaces._targets.values() for target in group]
+    assert sum(target.pixels for target in targets if target.view is None) <= MAX_IDLE_PIXELS
+    pipeline.release()
