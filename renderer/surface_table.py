@@ -13,7 +13,7 @@ from renderer.shapes import KINDS
 from renderer.specular import MIN_ROUGHNESS
 
 TABLE_WIDTH = 17       # texels a surface: three, the near field's as in near_field.glsl, the coat's two as in coat.glsl
-MAX_SOLIDS = 12        # as in reflections.glsl
+MAX_SOLIDS = 12        # as in solids.glsl
 
 
 def coat_roughness(surface: Surface) -> float:

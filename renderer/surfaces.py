@@ -239,6 +239,7 @@ def _write_colors(framebuffer: moderngl.Framebuffer, on: bool) -> None:
     one: Any = (on, on, on, on)
     count = len(framebuffer.color_attachments)
     framebuffer.color_mask = one if count == 1 else (one,) * count
+    framebuffer.use()       # moderngl hands the mask over only then
 
 
 def _bind_material(program: moderngl.Program, surface: Surface, textures: dict[Slot, moderngl.Texture]) -> None:

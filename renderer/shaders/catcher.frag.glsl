@@ -23,11 +23,7 @@ out vec4 ratio_out;
 
 const float MAX_RATIO = 4.0;
 
-// renderer/irradiance.py: a disc that sets behind the surface's own horizon fades.
-float disc_cosine(float cosine, float radius) {
-    float s = max(sin(radius), 1e-6), rising = cosine + s;
-    return cosine >= s ? cosine : (rising <= 0.0 ? 0.0 : rising * rising / (4.0 * s));
-}
+#include "disc_cosine.glsl"
 
 vec3 radiance_given_back(int solid, vec3 position) {
     vec3 towards = solid_centre[solid] - position;

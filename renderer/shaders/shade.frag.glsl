@@ -102,11 +102,7 @@ float ggx_disc(float n_dot_h, float v_dot_h, float n_dot_l, float n_dot_v, float
     return d * 0.5 / (n_dot_l * sqrt(n_dot_v * n_dot_v * (1.0 - a2) + a2) + n_dot_v * sqrt(n_dot_l * n_dot_l * (1.0 - a2) + a2));
 }
 
-// renderer/irradiance.py: a disc that sets behind the surface's own horizon fades.
-float disc_cosine(float cosine, float radius) {
-    float s = max(sin(radius), 1e-6), rising = cosine + s;
-    return cosine >= s ? cosine : (rising <= 0.0 ? 0.0 : rising * rising / (4.0 * s));
-}
+#include "disc_cosine.glsl"
 
 // What is far away on the ground fills less of the view than it did from the camera, in proportion to the height over the ground.
 float ground_foreshortening(vec3 position) {

@@ -171,38 +171,16 @@ class _Tracer:
             total += dr.select(missed, throughput * self._map(ray.d) * weight, 0.0)
             active &= solid | floor
 
-            # what the surface is
-            seen = self._map(dr.normalize(mi.Vector3f(floor_point)))
-            albedo = dr.clip(seen * dr.pi / dr.maximum(self.open_irradiance, 1e-9), 0.0, MAX_ALBEDO)
-            glow = dr.maximum(seen - albedo * self.open_irradiance / dr.pi, 0.0)
-            albedo = dr.select(first, dr.pi / dr.maximum(self.open_irradiance, 1e-9), albedo)
-            color, metallic, roughness, emissive = self._material(at, material, active & solid)
-            color = dr.select(floor, albedo, color)
-            metallic = dr.select(floor, 0.0, metallic)
+            color, metallic, roughness, glow = self._substance(at, material, floor, floor_point, first, active & solid)
             roughness = dr.select(rough_seen, dr.maximum(roughness, BLURRED_ROUGHNESS), roughness)
             alpha = dr.maximum(roughness * roughness, MIN_ALPHA)
             shininess = dr.select(floor, mi.Float(0.0), mi.Float(1.0))
-            total += dr.select(active & ~(floor & first), throughput * dr.select(floor, glow, emissive), 0.0)
-
-            flipped = dr.dot(at.n, ray.d) > 0
-            geometric = dr.select(flipped, -at.n, at.n)
-            smooth = dr.select(dr.dot(at.sh_frame.n, geometric) < 0, -at.sh_frame.n, at.sh_frame.n)
-            facing = dr.dot(smooth, ray.d)
-            smooth = dr.normalize(dr.select(facing > 0, smooth - ray.d * (facing + 1e-3), smooth))
-            normal = dr.select(floor, mi.Vector3f(0, 1, 0), smooth)
-            geometric = dr.select(floor, mi.Vector3f(0, 1, 0), geometric)
-            point = dr.select(floor, floor_point, at.p)
-            start = point + geometric * (1e-4 * dr.maximum(1.0, dr.max(dr.abs(point))))
-            frame = mi.Frame3f(normal)
+            total += dr.select(active & ~(floor & first), throughput * glow, 0.0)
+            geometric, frame, start = _shape(at, ray, floor, floor_point)
             view = frame.to_local(-ray.d)
 
             # the map, sampled
-            anywhere = dr.zeros(mi.SurfaceInteraction3f)
-            sample, weight3 = self.scene.sample_emitter_direction(anywhere, sampler.next_2d(), False, active)
-            shadow_ray = mi.Ray3f(start, sample.d)
-            lit = active & (dr.dot(sample.d, geometric) > 0) & (sample.pdf > 0)
-            lit &= ~self._floor_hit(shadow_ray, mi.Float(dr.inf))[0]
-            lit &= ~self.scene.ray_test(shadow_ray, lit)
+            sample, weight3, lit = self._lamp(start, geometric, sampler, active)
             light = frame.to_local(sample.d)
             value = self._brdf_cosine(view, light, color, metallic, alpha, roughness, shininess)
             own = _density(view, light, metallic, alpha, shininess)
@@ -221,6 +199,26 @@ class _Tracer:
             active &= sampler.next_1d(active) < survival
             throughput /= survival
         return total, first_object, on_floor
+
+    def _substance(self, at: Any, material: Any, floor: Any, floor_point: Any, first: Any, on_solid: Any) -> tuple[Any, ...]:
+        """Colour, metallic, roughness and what it gives off. The floor is as bright under the open map as the map shows it; seen
+        first its colour is such that its radiance is the ratio of irradiances."""
+        seen = self._map(dr.normalize(mi.Vector3f(floor_point)))
+        albedo = dr.clip(seen * dr.pi / dr.maximum(self.open_irradiance, 1e-9), 0.0, MAX_ALBEDO)
+        glow = dr.maximum(seen - albedo * self.open_irradiance / dr.pi, 0.0)
+        albedo = dr.select(first, dr.pi / dr.maximum(self.open_irradiance, 1e-9), albedo)
+        color, metallic, roughness, emissive = self._material(at, material, on_solid)
+        return (dr.select(floor, albedo, color), dr.select(floor, 0.0, metallic), roughness, dr.select(floor, glow, emissive))
+
+    def _lamp(self, start: Any, geometric: Any, sampler: Any, active: Any) -> tuple[Any, Any, Any]:
+        """A direction drawn from the map, its weight, and whether it is seen."""
+        anywhere = dr.zeros(mi.SurfaceInteraction3f)
+        sample, weight = self.scene.sample_emitter_direction(anywhere, sampler.next_2d(), False, active)
+        shadow_ray = mi.Ray3f(start, sample.d)
+        lit = active & (dr.dot(sample.d, geometric) > 0) & (sample.pdf > 0)
+        lit &= ~self._floor_hit(shadow_ray, mi.Float(dr.inf))[0]
+        lit &= ~self.scene.ray_test(shadow_ray, lit)
+        return sample, weight, lit
 
     def _material(self, at: Any, index: Any, active: Any) -> tuple[Any, Any, Any, Any]:
         r, g, b, metallic, roughness, er, eg, eb = (dr.gather(mi.Float, column, index, active) for column in self.materials)
@@ -247,6 +245,19 @@ class _Tracer:
         dielectric = (1 - coat) * color / dr.pi + (0.04 + 0.96 * f90) * (1 + 0.04 * back) * lobe
         value = metal * metallic + dielectric * (1 - metallic)
         return dr.select((light.z > 0) & (view.z > 0), value * n_l, 0.0)
+
+
+
+def _shape(at: Any, ray: Any, floor: Any, floor_point: Any) -> tuple[Any, Any, Any]:
+    """The side of the surface that is seen: its geometric normal, the frame of the interpolated one, and where rays leave."""
+    up = mi.Vector3f(0, 1, 0)
+    geometric = dr.select(dr.dot(at.n, ray.d) > 0, -at.n, at.n)
+    smooth = dr.select(dr.dot(at.sh_frame.n, geometric) < 0, -at.sh_frame.n, at.sh_frame.n)
+    facing = dr.dot(smooth, ray.d)
+    smooth = dr.normalize(dr.select(facing > 0, smooth - ray.d * (facing + 1e-3), smooth))
+    normal, geometric = dr.select(floor, up, smooth), dr.select(floor, up, geometric)
+    point = dr.select(floor, floor_point, at.p)
+    return geometric, mi.Frame3f(normal), point + geometric * (1e-4 * dr.maximum(1.0, dr.max(dr.abs(point))))
 
 
 def _sampler(lanes: int, seed: int) -> Any:

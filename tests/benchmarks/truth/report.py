@@ -42,6 +42,9 @@ def summary(cases: list[Case]) -> str:
             lines.append(_line(f"{preset} {scene}: shadow ratio", [c.shadow.value for c in found], 0.03))
             lines.append(_line(f"{preset} {scene}: silhouette", [c.coverage for c in found], 0.02))
             lines.append(_line(f"{preset} {scene}: ldr-flip", [c.flip for c in found], 0.05))
+    for preset in presets[1:]:
+        nearer = sum(case.results[presets[0]][0].flip < case.results[preset][0].flip for case in cases)
+        lines.append(f"{presets[0]} nearer than {preset} by ldr-flip in {nearer} of {len(cases)}")
     return "\n".join(lines)
 
 
