@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from renderer import surfaces
 from renderer.equirectangular import uv_from_direction
 from renderer.frame import RadianceFrame
 from renderer.gl import Context
@@ -14,7 +15,6 @@ from renderer.light_detection import Detection, Light
 from renderer.light_reading import FrameLight
 from renderer.pipeline import Pipeline
 from renderer.scene import Scene
-from renderer.surfaces import MAX_IDLE_PIXELS
 from tests.renderer.frames import direction, scene, sky_with_sun
 
 SIZE = (256, 128)
@@ -110,8 +110,9 @@ def test_objects_of_which_none_throws_a_shadow(context: Context) -> None:
     assert (picture[int(v), int(u)] == frame.rgb[int(v), int(u)]).all()
 
 
-def test_views_of_ever_other_sizes_do_not_pile_up(context: Context) -> None:
+def test_views_of_ever_other_sizes_do_not_pile_up(context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
     """A long live event: things of all sizes come and go, a rough specular floor among them."""
+    monkeypatch.setattr(surfaces, "MAX_IDLE_PIXELS", 50_000)       # a quarter of what comes together here
     pipeline = Pipeline(context, RadianceFrame, (1024, 512))
     frame = sky_with_sun(30, 50, size=(1024, 512))
     light, _ = pipeline.analyse(frame)
@@ -124,5 +125,17 @@ def test_views_of_ever_other_sizes_do_not_pile_up(context: Context) -> None:
         assert isinstance(rendered.frame, RadianceFrame)
         assert np.isfinite(rendered.frame.rgb).all()
     targets = [target for group in pipeline._surfaces._targets.values() for target in group]
-    assert sum(target.pixels for target in targets if target.view is None) <= MAX_IDLE_PIXELS
+    assert sum(target.pixels for target in targets if target.view is None) <= 50_000
     pipeline.release()
+
+
+def test_a_rough_floor_around_the_camera_has_views_that_fit_a_framebuffer(context: Context) -> None:
+    pipeline = Pipeline(context, RadianceFrame, SIZE)
+    document = {"camera_height": 1.0, "ground": {"specular": 0.3, "roughness": 0.75},
+                "objects": [{"id": "o", "mesh": "box", "position": [0, 0.5, -1.5], "scale": [6, 0.2, 0.6]}]}
+    pipeline.render(sky_with_sun(30, 50, size=SIZE), Scene.model_validate(document))
+    assert pipeline.placement is not None
+    views = pipeline.placement.mirrored
+    pipeline.release()
+    assert len(views) > 1       # too wide for one
+    assert max(side for view in views for side in view.size) < 4 * SIZE[1]
