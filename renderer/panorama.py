@@ -8,7 +8,7 @@ import numpy as np
 from renderer.color import YuvFormat
 from renderer.frame import Frame, RgbFrame, YuvFrame, check_size
 from renderer.gl import Context, release_all, set_uniforms
-from renderer.inverse_tone_mapping import INVERSE_TABLE_SIZE, inverse_gain_table
+from renderer.light.inverse_tone_mapping import INVERSE_TABLE_SIZE, inverse_gain_table
 
 
 class PanoramaTextures:

@@ -10,27 +10,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.color import srgb_from_linear
-from renderer.composite import CompositeStage, DrawView
+from renderer.compositing.composite import CompositeStage, DrawView
 from renderer.frame import Frame, RadianceFrame, RgbFrame, YuvFrame, check_size
 from renderer.gl import Context, release_all
-from renderer.gpu_mesh import GpuMesh
-from renderer.inverse_tone_mapping import linear_from_radiance
-from renderer.light_reading import FrameAccess, FrameLight, LightReader
-from renderer.light_refinement import MomentStage
-from renderer.mesh import Mesh
-from renderer.openness import OpennessStage
+from renderer.light.inverse_tone_mapping import linear_from_radiance
+from renderer.light.radiance_map import RadianceMapStage, packed_pixels
+from renderer.light.reading import FrameAccess, FrameLight, LightReader
+from renderer.light.refinement import MomentStage
+from renderer.light.ring_sampling import RingSource
+from renderer.light.threshold_detection import HEIGHT as THRESHOLD_HEIGHT
+from renderer.light.threshold_detection import WIDTH as THRESHOLD_WIDTH
+from renderer.models.gpu_mesh import GpuMesh
+from renderer.models.mesh import Mesh
+from renderer.models.openness import OpennessStage
+from renderer.objects.placement import TILE, View
+from renderer.objects.placing import Placement, Placer
+from renderer.objects.shading import ShadingStage, may_mirror
+from renderer.objects.specular_floor import FloorBlurStage, SpecularFloor, lobe_spread
+from renderer.objects.surfaces import SurfaceStage
 from renderer.panorama import PanoramaTextures
-from renderer.placement import TILE, View
-from renderer.placing import Placement, Placer
-from renderer.radiance_map import RadianceMapStage, packed_pixels
-from renderer.ring_sampling import RingSource
 from renderer.scene import Lighting, Scene
 from renderer.scene_light import SceneLightStage
-from renderer.shading import ShadingStage, may_mirror
-from renderer.specular_floor import FloorBlurStage, SpecularFloor, lobe_spread
-from renderer.surfaces import SurfaceStage
-from renderer.threshold_detection import HEIGHT as THRESHOLD_HEIGHT
-from renderer.threshold_detection import WIDTH as THRESHOLD_WIDTH
 from renderer.timings import Timings
 
 

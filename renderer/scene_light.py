@@ -8,30 +8,30 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.ambient_shadows import AmbientShadowStage
-from renderer.catchers import CatcherLayer, CatcherLight, CatcherStage
-from renderer.composite import GroundLight
+from renderer.compositing.composite import GroundLight
 from renderer.gl import Context, release_all
-from renderer.gpu_mesh import PlacedMesh
-from renderer.inverse_tone_mapping import WEIGHTS
-from renderer.irradiance import disc_cosine, irradiance
-from renderer.light_change import hardly_changed
-from renderer.light_detection import MAX_LIGHTS, Light
-from renderer.light_reading import FrameLight
-from renderer.light_shadows import LightShadowStage
-from renderer.light_visibility import Receiver
-from renderer.placement import TileMask, View, tile_grid
-from renderer.placing import Placement
+from renderer.light.change import hardly_changed
+from renderer.light.detection import MAX_LIGHTS, Light
+from renderer.light.inverse_tone_mapping import WEIGHTS
+from renderer.light.irradiance import disc_cosine, irradiance
+from renderer.light.reading import FrameLight
+from renderer.light.specular import MIN_ROUGHNESS, Lobe, prefilter_all, quantized_roughness
+from renderer.models.gpu_mesh import PlacedMesh
+from renderer.objects.placement import TileMask, View, tile_grid
+from renderer.objects.placing import Placement
+from renderer.objects.shading import MIRROR_BELOW, Illumination, ShadingStage, is_sharp, may_mirror
+from renderer.objects.surface_table import coat_roughness
+from renderer.objects.surfaces import SurfaceStage
+from renderer.objects.surroundings import Surroundings
 from renderer.scene import Lighting, Scene
-from renderer.shading import MIRROR_BELOW, Illumination, ShadingStage, is_sharp, may_mirror
-from renderer.shadow_atlas import ShadowAtlases, ShadowMap
-from renderer.shadow_casters import RealThings
-from renderer.shadow_mapping import screen_space_occlusion
-from renderer.shadow_reach import surrounds_camera
-from renderer.specular import MIN_ROUGHNESS, Lobe, prefilter_all, quantized_roughness
-from renderer.surface_table import coat_roughness
-from renderer.surfaces import SurfaceStage
-from renderer.surroundings import Surroundings
+from renderer.shadows.ambient_shadows import AmbientShadowStage
+from renderer.shadows.catchers import CatcherLayer, CatcherLight, CatcherStage
+from renderer.shadows.light_shadows import LightShadowStage
+from renderer.shadows.light_visibility import Receiver
+from renderer.shadows.shadow_atlas import ShadowAtlases, ShadowMap
+from renderer.shadows.shadow_casters import RealThings
+from renderer.shadows.shadow_mapping import screen_space_occlusion
+from renderer.shadows.shadow_reach import surrounds_camera
 from renderer.timings import Timings
 
 Array = NDArray[np.float64]

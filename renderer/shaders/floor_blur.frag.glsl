@@ -1,4 +1,4 @@
-// A mirrored view as a rough floor shows it: renderer/specular_floor.py.
+// A mirrored view as a rough floor shows it: renderer/objects/specular_floor.py.
 uniform sampler2D picture;      // premultiplied radiance, with mip levels
 uniform sampler2D distances;    // share that is covered; mean distance times that; with mip levels
 uniform mat3 world_from_view;   // columns: right, up, forward

@@ -1,4 +1,4 @@
-// Iorns & Rhee's operator and its inverse; the twin of renderer/inverse_tone_mapping.py.
+// Iorns & Rhee's operator and its inverse; the twin of renderer/light/inverse_tone_mapping.py.
 #include "srgb.glsl"
 const vec3 LUMINANCE_WEIGHTS = vec3(0.3, 0.59, 0.11);
 const float MAX_RADIANCE = 6.0e4;   // below the largest half float

@@ -1,4 +1,4 @@
-// renderer/near_field.py: what an object is close to, as a factor on the distant irradiance. Rows of the table of surfaces from
+// renderer/objects/near_field.py: what an object is close to, as a factor on the distant irradiance. Rows of the table of surfaces from
 // NEAR_FIELD on: centre and 1 / size; then twelve coefficients for each channel, four numbers a texel; then two neighbours' spheres.
 const int NEAR_FIELD = 3;
 const float CONTACT = 4.0;

@@ -1,4 +1,4 @@
-// Objects as one simple solid each (renderer/shapes.py), in their own unit space: edge or diameter 1, centred.
+// Objects as one simple solid each (renderer/models/shapes.py), in their own unit space: edge or diameter 1, centred.
 const int MAX_SOLIDS = 12;
 const int BOX = 0, ELLIPSOID = 1, CYLINDER = 2;
 

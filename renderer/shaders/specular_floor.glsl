@@ -1,4 +1,4 @@
-// What a specular ground shows of objects: renderer/specular_floor.py.
+// What a specular ground shows of objects: renderer/objects/specular_floor.py.
 uniform sampler2D floor_texture;    // premultiplied radiance of the objects mirrored in the ground
 uniform mat3 floor_from_world;      // rows: right, up, forward
 uniform vec4 floor_bounds;          // left, bottom, 1 / width, 1 / height on the tangent plane

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from renderer.equirectangular import pixel_directions, solid_angles
 from renderer.frame import RadianceFrame
-from renderer.inverse_tone_mapping import WEIGHTS
-from renderer.light_detection import Light
+from renderer.light.detection import Light
+from renderer.light.inverse_tone_mapping import WEIGHTS
 from renderer.scene import Lighting
 from server.bench.light_tables import PAPERS, Pipelines
 from server.worker.images import read_still

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from renderer.color import linear_from_srgb, srgb_from_linear
 from renderer.frame import RgbFrame
-from renderer.inverse_tone_mapping import OFFSET, SLOPE, WEIGHTS, radiance_from_linear
+from renderer.light.inverse_tone_mapping import OFFSET, SLOPE, WEIGHTS, radiance_from_linear
 from server.bench.light_reference import light_irradiance, random_normals, reference_irradiance
 from server.bench.light_tables import Maps, Pipelines, rms
 

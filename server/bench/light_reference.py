@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from renderer.equirectangular import pixel_directions, solid_angles, uv_from_direction
 from renderer.frame import RadianceFrame
-from renderer.inverse_tone_mapping import MAX_RADIANCE
-from renderer.irradiance import basis, disc_cosine
-from renderer.light_reading import FrameLight
-from renderer.radiance_map import map_size
-from renderer.specular import ggx_lobe, resample
+from renderer.light.inverse_tone_mapping import MAX_RADIANCE
+from renderer.light.irradiance import basis, disc_cosine
+from renderer.light.radiance_map import map_size
+from renderer.light.reading import FrameLight
+from renderer.light.specular import ggx_lobe, resample
 from server.worker.images import RADIANCE_SUFFIXES, read_still
 
 Array = NDArray[np.float64]

@@ -9,21 +9,21 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.diffuse import diffuse_map
 from renderer.equirectangular import pixel_directions, solid_angles
 from renderer.frame import Frame, RadianceFrame
 from renderer.gl import Context
-from renderer.inverse_tone_mapping import WEIGHTS
-from renderer.irradiance import project
-from renderer.light_detection import Detection, find_candidates
-from renderer.light_fitting import Probe, ProbeFit, probe_irradiance
-from renderer.light_reading import FrameLight
-from renderer.light_tracking import LightTracker
+from renderer.light.detection import Detection, find_candidates
+from renderer.light.diffuse import diffuse_map
+from renderer.light.fitting import Probe, ProbeFit, probe_irradiance
+from renderer.light.inverse_tone_mapping import WEIGHTS
+from renderer.light.irradiance import project
+from renderer.light.radiance_map import RadianceMap
+from renderer.light.reading import FrameLight
+from renderer.light.specular import prefilter, resample
+from renderer.light.threshold_detection import HEIGHT, WIDTH, detect_by_threshold
+from renderer.light.tracking import LightTracker
 from renderer.pipeline import Pipeline
-from renderer.radiance_map import RadianceMap
 from renderer.scene import Lighting, Scene
-from renderer.specular import prefilter, resample
-from renderer.threshold_detection import HEIGHT, WIDTH, detect_by_threshold
 from server.bench.light_reference import (
     clean,
     interpolated,

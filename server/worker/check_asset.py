@@ -9,7 +9,7 @@ import json
 import sys
 from pathlib import Path
 
-from renderer.gltf import GltfError, load
+from renderer.models.gltf import GltfError, load
 
 
 def main() -> int:

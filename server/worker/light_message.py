@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from renderer.irradiance import basis
-from renderer.light_reading import FrameLight
+from renderer.light.irradiance import basis
+from renderer.light.reading import FrameLight
 
 _BAND_0 = float(basis(np.array([0.0, 1.0, 0.0]))[0])
 

@@ -21,7 +21,7 @@ from tqdm import tqdm
 from renderer.color import linear_from_srgb
 from renderer.frame import RadianceFrame, RgbFrame, YuvFrame
 from renderer.gl import Context, GLUnavailableError
-from renderer.inverse_tone_mapping import radiance_from_linear
+from renderer.light.inverse_tone_mapping import radiance_from_linear
 from renderer.pipeline import Pipeline, Rendered, TouchedRadiance
 from renderer.scene import Lighting, Scene
 from server.worker.clip import ClipWriter

@@ -15,7 +15,7 @@ import numpy as np
 
 from renderer.frame import YuvFrame
 from renderer.gl import Context
-from renderer.light_reading import FrameLight
+from renderer.light.reading import FrameLight
 from renderer.pipeline import Pipeline
 from renderer.scene import Scene
 from server.worker.encode import Composited, EncodeThread

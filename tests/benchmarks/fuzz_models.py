@@ -29,8 +29,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from renderer.gltf import GltfError, load
-from renderer.mesh import Mesh
+from renderer.models.gltf import GltfError, load
+from renderer.models.mesh import Mesh
 from tests.models import Model, bent_bar, glb, one_triangle
 
 FOLDER = Path("out/fuzz")

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.e2e
 
 SCENE = "/api/streams/live/scene"
 OBJECTS = "/api/streams/live/objects"
-MODEL = Path(__file__).resolve().parents[2] / "renderer" / "meshes" / "teapot.glb"
+MODEL = Path(__file__).resolve().parents[2] / "renderer" / "models" / "builtin" / "teapot.glb"
 WITHIN_S = 20.0
 
 

@@ -7,9 +7,9 @@ from functools import lru_cache
 import numpy as np
 
 from renderer.equirectangular import pixel_directions, solid_angles
-from renderer.light_detection import Detection, find_candidates
-from renderer.light_tracking import LightTracker
-from renderer.radiance_map import RadianceMap
+from renderer.light.detection import Detection, find_candidates
+from renderer.light.radiance_map import RadianceMap
+from renderer.light.tracking import LightTracker
 from tests.renderer.frames import direction
 
 HEIGHT, WIDTH = 128, 256

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from renderer.animation import slerp
-from renderer.gltf import GltfError
-from renderer.mesh import BUILT_IN, Mesh
+from renderer.models.animation import slerp
+from renderer.models.gltf import GltfError
+from renderer.models.mesh import BUILT_IN, Mesh
 from tests.models import CORNERS, TURN, Model, bent_bar, one_triangle
 
 ROUNDING = 1e-5

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from renderer.gltf import GltfError, document, load, model, primitives
+from renderer.models.gltf import GltfError, document, load, model, primitives
 from tests.models import bent_bar, glb, one_triangle, triangle
 
 POSITIONS = {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from renderer.equirectangular import pixel_directions
 from renderer.frame import RadianceFrame
 from renderer.gl import Context
-from renderer.light_discs import disc_directions
+from renderer.light.discs import disc_directions
 from renderer.pipeline import Pipeline
 from renderer.scene import Scene
 from tests.renderer.frames import direction, noise_frame, sky_with_sun

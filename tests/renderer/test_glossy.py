@@ -8,12 +8,12 @@ import pytest
 from renderer.equirectangular import pixel_directions, uv_from_direction
 from renderer.frame import RadianceFrame
 from renderer.gl import Context
-from renderer.light_detection import Detection, Light
-from renderer.light_discs import disc_directions, share_below_horizon
-from renderer.light_reading import FrameLight
+from renderer.light.detection import Detection, Light
+from renderer.light.discs import disc_directions, share_below_horizon
+from renderer.light.reading import FrameLight
+from renderer.light.specular import dfg_table, prefilter, prefilter_split
 from renderer.pipeline import Pipeline
 from renderer.scene import Scene
-from renderer.specular import dfg_table, prefilter, prefilter_split
 from tests.renderer.frames import direction, scene
 
 SIZE = (512, 256)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from renderer.gltf import GltfError
-from renderer.mesh import Primitive
+from renderer.models.gltf import GltfError
+from renderer.models.mesh import Primitive
 from tests.models import CORNERS, Model, one_triangle
 
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], "f4")

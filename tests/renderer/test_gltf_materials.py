@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from renderer.gltf import GltfError, images
-from renderer.mesh import Primitive, Surface, TextureMapping
+from renderer.models.gltf import GltfError, images
+from renderer.models.mesh import Primitive, Surface, TextureMapping
 from tests.models import Model, one_triangle, png
 
 PICTURE = np.arange(48, dtype="u1").reshape(4, 4, 3)

@@ -13,9 +13,9 @@ from renderer.color import YuvFormat
 from renderer.equirectangular import pixel_directions, solid_angles
 from renderer.frame import Frame, RadianceFrame, RgbFrame, YuvFrame
 from renderer.gl import Context
-from renderer.inverse_tone_mapping import MAX_RADIANCE, WEIGHTS
-from renderer.irradiance import disc_cosine
-from renderer.light_reading import FrameLight
+from renderer.light.inverse_tone_mapping import MAX_RADIANCE, WEIGHTS
+from renderer.light.irradiance import disc_cosine
+from renderer.light.reading import FrameLight
 from renderer.pipeline import Pipeline
 from renderer.scene import Lighting
 from tests.renderer.frames import noise_frame, sky_with_sun, yuv_from_linear

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from renderer import surfaces
 from renderer.equirectangular import uv_from_direction
 from renderer.frame import RadianceFrame
 from renderer.gl import Context
-from renderer.light_detection import Detection, Light
-from renderer.light_reading import FrameLight
+from renderer.light.detection import Detection, Light
+from renderer.light.reading import FrameLight
+from renderer.objects import surfaces
 from renderer.pipeline import Pipeline
 from renderer.scene import Scene
 from tests.renderer.frames import direction, scene, sky_with_sun

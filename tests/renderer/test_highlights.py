@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from renderer.equirectangular import pixel_directions, solid_angles
-from renderer.highlights import MAX_GLOW, MAX_LAMP, HighlightRestorer, glow_gain
-from renderer.inverse_tone_mapping import WEIGHTS, gain, radiance_from_linear
-from renderer.radiance_map import RadianceMap
+from renderer.light.highlights import MAX_GLOW, MAX_LAMP, HighlightRestorer, glow_gain
+from renderer.light.inverse_tone_mapping import WEIGHTS, gain, radiance_from_linear
+from renderer.light.radiance_map import RadianceMap
 from tests.renderer.light_maps import HEIGHT, WIDTH, direction
 
 

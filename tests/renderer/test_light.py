@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from renderer.diffuse import IRRADIANCE_ROWS, convolved
 from renderer.equirectangular import pixel_directions, solid_angles
-from renderer.irradiance import BAND, COSINE_LOBE, basis, irradiance, project
-from renderer.specular import dfg_table, ggx_lobe, map_rows, prefilter, resample
+from renderer.light.diffuse import IRRADIANCE_ROWS, convolved
+from renderer.light.irradiance import BAND, COSINE_LOBE, basis, irradiance, project
+from renderer.light.specular import dfg_table, ggx_lobe, map_rows, prefilter, resample
 from tests.renderer.light_maps import HEIGHT, WIDTH, direction
 
 

@@ -10,10 +10,10 @@ import pytest
 
 from renderer.frame import RadianceFrame
 from renderer.gl import Context
-from renderer.light_change import hardly_changed
-from renderer.light_reading import FrameLight
+from renderer.light.change import hardly_changed
+from renderer.light.reading import FrameLight
+from renderer.objects.shading import ShadingStage
 from renderer.pipeline import Pipeline
-from renderer.shading import ShadingStage
 from tests.renderer.frames import direction, scene, sky_with_sun
 
 SIZE = (512, 256)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from renderer.equirectangular import pixel_directions, solid_angles
-from renderer.highlights import HighlightRestorer
-from renderer.inverse_tone_mapping import WEIGHTS
-from renderer.light_sources import label_components
-from renderer.radiance_map import RadianceMap
+from renderer.light.highlights import HighlightRestorer
+from renderer.light.inverse_tone_mapping import WEIGHTS
+from renderer.light.radiance_map import RadianceMap
+from renderer.light.sources import label_components
 from tests.renderer.light_maps import HEIGHT, WIDTH, detect, direction, disc, radiance_map
 
 PLACES = [(0, 20), (33, 50), (180, 30), (179.3, 5), (-179.9, -40), (10, 85), (120, 89.9), (77, 90), (-100, -88), (45, 0.2)]

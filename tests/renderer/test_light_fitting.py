@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from renderer.equirectangular import pixel_directions, solid_angles
-from renderer.light_fitting import MAX_ERROR, Probe, icosphere_centroids, probe_irradiance, probe_normals
+from renderer.light.fitting import MAX_ERROR, Probe, icosphere_centroids, probe_irradiance, probe_normals
 from tests.renderer.light_maps import HEIGHT, WIDTH, direction, disc, radiance_map
 
 

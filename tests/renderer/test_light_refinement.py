@@ -10,7 +10,7 @@ import pytest
 from renderer.equirectangular import pixel_directions, solid_angles
 from renderer.frame import Frame, RadianceFrame
 from renderer.gl import Context
-from renderer.light_detection import MIN_ANGULAR_RADIUS, Light
+from renderer.light.detection import MIN_ANGULAR_RADIUS, Light
 from renderer.pipeline import Pipeline
 from tests.renderer.frames import yuv_from_linear
 from tests.renderer.light_maps import direction

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from renderer.equirectangular import solid_angles
-from renderer.inverse_tone_mapping import WEIGHTS
-from renderer.light_detection import Detection, Light, find_candidates
-from renderer.light_tracking import LightNames, LightTracker
-from renderer.sun import Sun
+from renderer.light.detection import Detection, Light, find_candidates
+from renderer.light.inverse_tone_mapping import WEIGHTS
+from renderer.light.sun import Sun
+from renderer.light.tracking import LightNames, LightTracker
 from tests.renderer.light_maps import HEIGHT, WIDTH, direction, disc, radiance_map
 
 FRAME_S = 1 / 30

@@ -12,11 +12,11 @@ import pytest
 from renderer.equirectangular import uv_from_direction
 from renderer.frame import RadianceFrame
 from renderer.gl import Context
-from renderer.light_detection import Detection, Light
-from renderer.light_reading import FrameLight
-from renderer.light_visibility import LightVisibilityStage
+from renderer.light.detection import Detection, Light
+from renderer.light.reading import FrameLight
 from renderer.pipeline import Pipeline
 from renderer.scene import Scene
+from renderer.shadows.light_visibility import LightVisibilityStage
 from tests.renderer.frames import direction, scene, sky_with_sun
 
 MATTE = {"base_color": [0.8, 0.8, 0.8], "roughness": 1.0}

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from renderer.diffuse import convolved, diffuse_map, diffuse_radiance_map, harmonic_map
 from renderer.equirectangular import pixel_directions, solid_angles
 from renderer.frame import RadianceFrame, RgbFrame
 from renderer.gl import Context
-from renderer.irradiance import basis, irradiance_order, project
+from renderer.light.diffuse import convolved, diffuse_map, diffuse_radiance_map, harmonic_map
+from renderer.light.irradiance import basis, irradiance_order, project
 from renderer.pipeline import Pipeline, Rendered
 from renderer.scene import Lighting, Scene
 from tests.renderer.frames import scene, sky_with_sun

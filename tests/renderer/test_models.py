@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from renderer.gltf import GltfError, load, transform
-from renderer.mesh import BUILT_IN, MAX_PROXY_TRIANGLES, Mesh, Primitive
-from renderer.mesh_library import MeshLibrary
+from renderer.models.gltf import GltfError, load, transform
+from renderer.models.mesh import BUILT_IN, MAX_PROXY_TRIANGLES, Mesh, Primitive
+from renderer.models.mesh_library import MeshLibrary
 from tests.models import CORNERS, one_triangle, triangle
 
-TEAPOT = Path(__file__).parents[2] / "renderer" / "meshes" / "teapot.glb"
+TEAPOT = Path(__file__).parents[2] / "renderer" / "models" / "builtin" / "teapot.glb"
 
 
 @pytest.mark.parametrize("name", sorted(BUILT_IN))

@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from renderer import surroundings
 from renderer.equirectangular import pixel_directions
 from renderer.frame import RadianceFrame
 from renderer.gl import Context
-from renderer.gltf import transform
-from renderer.light_detection import Light
-from renderer.mesh import BUILT_IN
-from renderer.near_field import (
+from renderer.light.detection import Light
+from renderer.models.gltf import transform
+from renderer.models.mesh import BUILT_IN
+from renderer.models.shapes import Solid, fitted_shape, hit
+from renderer.objects import surroundings
+from renderer.objects.near_field import (
     FUNCTIONS,
     GROUND_RAYS,
     LIGHT_RAYS,
@@ -29,7 +30,6 @@ from renderer.near_field import (
     surface_points,
 )
 from renderer.pipeline import Pipeline
-from renderer.shapes import Solid, fitted_shape, hit
 from tests.renderer.frames import scene, sky_with_sun
 
 ROWS = 32

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from renderer.gl import Context
-from renderer.gpu_mesh import GpuMesh
-from renderer.mesh import BUILT_IN, Mesh, Surface
-from renderer.openness import OpennessStage
-from renderer.surfaces import SurfaceStage
+from renderer.models.gpu_mesh import GpuMesh
+from renderer.models.mesh import BUILT_IN, Mesh, Surface
+from renderer.models.openness import OpennessStage
+from renderer.objects.surfaces import SurfaceStage
 
 
 @pytest.fixture

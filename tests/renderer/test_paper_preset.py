@@ -11,12 +11,12 @@ from renderer.color import srgb_from_linear
 from renderer.equirectangular import uv_from_direction
 from renderer.frame import Frame, RadianceFrame, RgbFrame, YuvFrame
 from renderer.gl import Context
-from renderer.inverse_tone_mapping import linear_from_radiance, radiance_from_linear
-from renderer.irradiance import disc_cosine, irradiance
-from renderer.light_detection import Detection, Light
-from renderer.light_reading import FrameLight
+from renderer.light.detection import Detection, Light
+from renderer.light.inverse_tone_mapping import linear_from_radiance, radiance_from_linear
+from renderer.light.irradiance import disc_cosine, irradiance
+from renderer.light.reading import FrameLight
 from renderer.pipeline import Pipeline, Rendered
-from renderer.shadow_mapping import ShadowMapping, screen_space_occlusion, texel_size
+from renderer.shadows.shadow_mapping import ShadowMapping, screen_space_occlusion, texel_size
 from tests.renderer.frames import direction, scene, yuv_from_linear
 
 UP = np.array([0.0, 1.0, 0.0])

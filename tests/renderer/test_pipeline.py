@@ -9,8 +9,8 @@ from renderer.color import YuvFormat
 from renderer.equirectangular import uv_from_direction
 from renderer.frame import Frame, RadianceFrame, RgbFrame, YuvFrame
 from renderer.gl import Context
-from renderer.light_detection import Detection, Light
-from renderer.light_reading import FrameLight
+from renderer.light.detection import Detection, Light
+from renderer.light.reading import FrameLight
 from renderer.pipeline import Pipeline, Rendered
 from renderer.scene import Scene
 from tests.renderer.frames import direction, noise_frame, scene, sky_with_sun, yuv_from_linear

@@ -10,9 +10,9 @@ import pytest
 from renderer.equirectangular import pixel_directions, uv_from_direction
 from renderer.frame import RadianceFrame
 from renderer.gl import Context
+from renderer.models.shapes import hit
 from renderer.pipeline import Pipeline
 from renderer.scene import Scene
-from renderer.shapes import hit
 from tests.renderer.frames import direction, scene, sky_with_sun
 
 SIZE = (512, 256)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from renderer.shading_turns import Turns
+from renderer.objects.shading_turns import Turns
 
 MEMBERS = {0: 1000, 1: 2000, 2: 1500}
 

@@ -8,7 +8,7 @@ from renderer.equirectangular import pixel_directions
 from renderer.frame import RadianceFrame
 from renderer.gl import Context
 from renderer.pipeline import Pipeline
-from renderer.shadow_atlas import Blocks, sharing, union
+from renderer.shadows.shadow_atlas import Blocks, sharing, union
 from tests.renderer.frames import scene, sky_with_sun
 
 

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from renderer.gltf import load, transform
-from renderer.mesh import BUILT_IN, Mesh, Primitive
-from renderer.shapes import KINDS, Kind, Shape, Solid, fitted_shape, hides, hit
+from renderer.models.gltf import load, transform
+from renderer.models.mesh import BUILT_IN, Mesh, Primitive
+from renderer.models.shapes import KINDS, Kind, Shape, Solid, fitted_shape, hides, hit
 
 STEPS = np.linspace(0.0, 8.0, 8001)
 SHAPES: dict[str, Kind] = {"sphere": "ellipsoid", "box": "box", "cylinder": "cylinder"}
@@ -136,7 +136,7 @@ def test_built_in_meshes_are_their_own_shape(name: str) -> None:
 
 
 def test_the_teapot_may_hide_a_light_from_itself() -> None:
-    mesh = load(Path(str(resources.files("renderer.meshes") / "teapot.glb")))
+    mesh = load(Path(str(resources.files("renderer.models.builtin") / "teapot.glb")))
     shape = fitted_shape(mesh)
     assert not shape.is_convex
     low, high = mesh.outline.min(axis=0), mesh.outline.max(axis=0)

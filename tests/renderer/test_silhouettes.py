@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from renderer.equirectangular import pixel_directions
 from renderer.frame import RadianceFrame
 from renderer.gl import Context
-from renderer.gltf import transform
+from renderer.models.gltf import transform
 from renderer.pipeline import Pipeline
 from renderer.scene import Scene
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from renderer.equirectangular import pixel_directions, solid_angles
-from renderer.inverse_tone_mapping import WEIGHTS, radiance_from_linear
-from renderer.radiance_map import RadianceMap
-from renderer.sun import DIRECT_TO_SKY, NO_SKY, SunFinder, sun_in
+from renderer.light.inverse_tone_mapping import WEIGHTS, radiance_from_linear
+from renderer.light.radiance_map import RadianceMap
+from renderer.light.sun import DIRECT_TO_SKY, NO_SKY, SunFinder, sun_in
 from tests.renderer.light_maps import HEIGHT, WIDTH, direction
 
 BLUE_SKY, RED_SKY, GREY_SKY = (0.08, 0.2, 0.5), (0.5, 0.3, 0.2), (0.4, 0.4, 0.4)

@@ -7,10 +7,10 @@ import pytest
 
 from renderer.frame import RadianceFrame
 from renderer.gl import Context
-from renderer.light_detection import Light
+from renderer.light.detection import Light
+from renderer.light.threshold_detection import box_blurred, detect_by_threshold, strongest
 from renderer.pipeline import Pipeline
 from renderer.scene import Lighting
-from renderer.threshold_detection import box_blurred, detect_by_threshold, strongest
 from tests.renderer.frames import sky_with_sun
 from tests.renderer.light_maps import direction
 

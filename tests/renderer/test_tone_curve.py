@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from renderer.color import YuvFormat, srgb_from_linear
-from renderer.inverse_tone_mapping import gain, linear_from_radiance, radiance_from_linear, sanitize
+from renderer.light.inverse_tone_mapping import gain, linear_from_radiance, radiance_from_linear, sanitize
 
 
 def test_the_operator_is_the_papers_on_linear_light() -> None:

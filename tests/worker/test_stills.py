@@ -13,7 +13,7 @@ from PIL import Image
 
 from renderer.color import linear_from_srgb, srgb_from_linear
 from renderer.equirectangular import uv_from_direction
-from renderer.inverse_tone_mapping import linear_from_radiance, radiance_from_linear
+from renderer.light.inverse_tone_mapping import linear_from_radiance, radiance_from_linear
 from server.cli import main
 from server.worker.images import read_still
 from tests.renderer.frames import sky_with_sun

@@ -1,0 +1,99 @@
+"""The radiance map: the frame's light on a small equirectangular grid, the input of every lighting stage.
+
+Inverse tone mapping is fused with the reduction; a full-resolution HDR frame never exists. The planes are read eight pixels a
+fetch, and polynomials stand in for pow().
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.frame import Frame, YuvFrame
+from renderer.gl import Context, release_all, set_uniforms
+from renderer.light.inverse_tone_mapping import luminance_of
+from renderer.panorama import PanoramaTextures
+
+TARGET_WIDTH = 256
+Floats = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class RadianceMap:
+    """`rgb`: (height, width, 3) mean radiance; `clipped`: (height, width) share of each texel at the camera's limit; `raised`:
+    (height, width) factor by which `highlights.py` has raised it (None: it has not).
+
+    Single precision as the GPU gives it, or double; what adds up many texels does so in double.
+    """
+
+    rgb: Floats
+    clipped: Floats
+    raised: Floats | None = None
+
+    @cached_property
+    def luminance(self) -> Floats:
+        """(height, width) by the papers' weights."""
+        return luminance_of(self.rgb)
+
+
+def map_size(frame_size: tuple[int, int]) -> tuple[int, int]:
+    """Width and height of the map: about 256 wide, whole blocks of pixels where the frame's size allows."""
+    width, height = frame_size
+    if width <= TARGET_WIDTH:
+        return width, min(height, max(1, width // 2))
+    blocks = [b for b in range(2, width) if width % b == 0 and width / b >= 160]
+    best = min(blocks, key=lambda b: (b % 4 != 0, abs(width / b - TARGET_WIDTH)), default=None)
+    map_width = width // best if best and abs(width / best - TARGET_WIDTH) < 100 else TARGET_WIDTH
+    return map_width, min(height, map_width // 2)
+
+
+def packed_pixels(kind: type[Frame], size: tuple[int, int]) -> int:
+    """How many pixels a texel of the packed planes should hold for the reduction to a map: 8, 4, or 0 for none."""
+    if kind is not YuvFrame or size[0] % 4:
+        return 0
+    return 8 if size[0] % (8 * map_size(size)[0]) == 0 else 4
+
+
+class RadianceMapStage:
+    """Owns the reduction pass of one source geometry."""
+
+    def __init__(self, context: Context, panorama: PanoramaTextures, size: tuple[int, int] | None = None) -> None:
+        """`size`: of the map, None for the usual one."""
+        self._panorama = panorama
+        self.size = map_size(panorama.size) if size is None else size
+        packed = panorama.packed
+        cell = (packed, 2) if packed else (1, 1)
+        counts = [frame // (texels * side) for frame, texels, side in zip(panorama.size, self.size, cell, strict=True)]
+        whole = all(count * texels * side == frame for count, frame, texels, side in
+                    zip(counts, panorama.size, self.size, cell, strict=True))
+        columns, rows = counts if whole else (0, 0)
+        defines = {**panorama.defines, "COLUMNS": columns, "ROWS": rows}
+        self._program = context.program("full_screen.vert.glsl", "radiance_map.frag.glsl", defines)
+        self.texture = context.texture(self.size, 4, "f4", wrap_x=True)
+        self._target = context.gl.framebuffer([self.texture])
+        self._triangle = context.gl.vertex_array(self._program, [])
+
+    def run(self) -> RadianceMap:
+        """Reduce the frame that is in the panorama's textures. The full map also stays in `texture` for mirrors."""
+        texels = self._draw(self.size[1])
+        return RadianceMap(np.ascontiguousarray(texels[..., :3]), np.ascontiguousarray(texels[..., 3]))
+
+    def run_rows(self, rows: int) -> NDArray[np.float32]:
+        """Only the uppermost rows: (rows, width, 3) radiance."""
+        return self._draw(rows)[..., :3]
+
+    def _draw(self, rows: int) -> NDArray[np.float32]:
+        self._panorama.bind(self._program)
+        set_uniforms(self._program, {"map_size": self.size})
+        self._target.use()
+        self._target.viewport = viewport = (0, 0, self.size[0], rows)
+        self._triangle.render(moderngl.TRIANGLES, 3)
+        pixels = np.frombuffer(self._target.read(viewport, components=4, dtype="f4"), dtype="f4")
+        return pixels.reshape(rows, self.size[0], 4)
+
+    def release(self) -> None:
+        release_all(self._triangle, self._target, self.texture, self._program)
