@@ -36,12 +36,12 @@ setup: $(VENV)/.run-ready ## what the service needs
 setup-test: $(VENV)/.test-ready ## what the tests need
 setup-truth: $(VENV)/.truth-ready ## what the path tracer needs
 
-$(VENV)/.run-ready: requirements.lock pyproject.toml scripts/apt-packages.sh
+$(VENV)/.run-ready: requirements.lock pyproject.toml scripts/apt-packages.sh $(wildcard renderer/native/*.[ch])
 	@scripts/apt-packages.sh run
 	@echo "setting up the Python environment in $(VENV)"
 	@test -x $(BIN)/python || "$$(scripts/find-python.sh)" -m venv $(VENV)
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -e .
+	@PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -e .
 	@touch $@
 
 $(VENV)/.test-ready: $(VENV)/.run-ready requirements-dev.lock package-lock.json

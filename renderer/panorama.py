@@ -12,7 +12,8 @@ from renderer.light.inverse_tone_mapping import INVERSE_TABLE_SIZE, inverse_gain
 
 
 class PanoramaTextures:
-    """Owns the textures of one source geometry; `write` uploads a frame, `bind` makes it visible to a program."""
+    """Owns the textures of one source geometry; `show` takes over a frame, `upload` puts it there if that has not been done yet,
+    `bind` makes it visible to a program."""
 
     FIRST_UNIT = 0  # units 0 to 6
 
@@ -34,6 +35,8 @@ class PanoramaTextures:
         self._inverse_gain = context.texture((INVERSE_TABLE_SIZE, 1), 1, "f4")
         self._inverse_gain.write(inverse_gain_table().tobytes())
         self.format = YuvFormat()
+        self._frame: Frame | None = None
+        self._missing: set[moderngl.Texture] = set()    # that do not have the frame yet
         self._bound: dict[int, YuvFormat] = {}
 
     @property
@@ -41,26 +44,39 @@ class PanoramaTextures:
         """The preprocessor switches of `panorama.glsl`."""
         return {"SOURCE_YUV": int(self.kind is YuvFrame), "SOURCE_RGB8": int(self.kind is RgbFrame), "PACKED": self.packed}
 
-    def write(self, frame: Frame, *, only_packed: bool = False) -> None:
-        """Upload; `only_packed` leaves out the planes where there are packed ones: only mirrors interpolate in them.
+    def show(self, frame: Frame) -> None:
+        """From now on the textures mean this frame, whose arrays must stay as they are until the next one.
 
         Raises ValueError when the frame's size is not that of the textures.
         """
         check_size(frame)
         if type(frame) is not self.kind or frame.size != self.size:
             raise ValueError(f"frame is {type(frame).__name__} {frame.size}, expected {self.kind.__name__} {self.size}")
+        self._frame, self._missing = frame, {*self._planes, *self._packed}
         if isinstance(frame, YuvFrame):
-            textures = self._packed if only_packed and self.packed else [*self._packed, *self._planes]
-            for index, texture in enumerate(textures):
-                texture.write(np.ascontiguousarray((frame.y, frame.u, frame.v)[index % 3]), alignment=1)
             self.format = frame.format
-        else:
+
+    @property
+    def frame(self) -> Frame:
+        assert self._frame is not None
+        return self._frame
+
+    def upload(self, *, packed: bool = True, plain: bool = False) -> None:
+        """Upload and bind the frame, `packed` where there are such planes and, for those who interpolate in them, `plain`."""
+        frame = self.frame
+        if isinstance(frame, YuvFrame):
+            wanted = [*(self._packed if packed else []), *(self._planes if plain or not self.packed else [])]
+            for texture in wanted:
+                index = (*self._packed, *self._planes).index(texture)
+                if texture in self._missing:
+                    texture.write(np.ascontiguousarray((frame.y, frame.u, frame.v)[index % 3]), alignment=1)
+                    self._missing.remove(texture)
+        elif self._missing:
             rgba = np.zeros((*frame.rgb.shape[:2], 4), dtype=frame.rgb.dtype)
             rgba[..., :3] = frame.rgb
             self._planes[0].write(rgba)
-
-    def use(self) -> None:
-        """Bind the textures; nothing else uses their units, so once a frame is enough."""
+            self._missing.clear()
+        # nothing else uses their units
         for unit, texture in enumerate((*self._planes, *self._packed), start=self.FIRST_UNIT):
             texture.use(unit)
         self._inverse_gain.use(self.FIRST_UNIT + 6)

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.color import srgb_from_linear
-from renderer.compositing.composite import CompositeStage, DrawView
+from renderer.compositing.composite import CompositeStage, DrawView, Output
+from renderer.compositing.kept_layers import KeptLayers, keeps_layers
 from renderer.frame import Frame, RadianceFrame, RgbFrame, YuvFrame, check_size
 from renderer.gl import Context, release_all
 from renderer.light.inverse_tone_mapping import linear_from_radiance
@@ -30,7 +31,7 @@ from renderer.objects.specular_floor import FloorBlurStage, SpecularFloor, lobe_
 from renderer.objects.surfaces import SurfaceStage
 from renderer.panorama import PanoramaTextures
 from renderer.scene import Lighting, Scene
-from renderer.scene_light import SceneLightStage
+from renderer.scene_light import LitScene, SceneLightStage
 from renderer.timings import Timings
 
 
@@ -66,7 +67,8 @@ class Pipeline:
         self._radiance = RadianceMapStage(context, self._panorama)
         self._surfaces = SurfaceStage(context)
         self._shading = ShadingStage(context, self._panorama, self._surfaces, self._radiance.texture)
-        self._composite = CompositeStage(context, self._panorama)
+        self._composite = CompositeStage(context, self._panorama, Output.CODES if kind is YuvFrame else Output.RADIANCE)
+        self._kept = KeptLayers(context, self._panorama) if keeps_layers(context, self._panorama) else None
         self._openness = OpennessStage(context, self._surfaces)
         self._placer = Placer(self._upload, size, assets, mesh_root)
         self._reader = LightReader()
@@ -91,9 +93,7 @@ class Pipeline:
     def analyse(self, frame: Frame, moment: float | None = None, lighting: Lighting | None = None) -> tuple[FrameLight, Timings]:
         """Find the light of a frame shown at `moment` seconds without compositing anything."""
         timings = Timings()
-        with timings.stage("upload"):
-            self._panorama.write(frame, only_packed=True)
-            self._panorama.use()
+        self._panorama.show(frame)
         return self._light(timings, moment, lighting or Lighting()), timings
 
     def render(self, frame: Frame, scene: Scene, *, light: FrameLight | None = None, moment: float | None = None,
@@ -109,9 +109,12 @@ class Pipeline:
         with timings.stage("place"):
             placement = self._placer.place(scene, moment)
         rings = scene.lighting.method("glossy") == "rings36" and bool(placement.objects)
-        with timings.stage("upload"):
-            self._panorama.write(frame, only_packed=not (rings or any(map(may_mirror, placement.objects.values()))))
-            self._panorama.use()
+        mirrors = rings or any(map(may_mirror, placement.objects.values()))
+        self._panorama.show(frame)
+        is_drawn = self._kept_for(placement) is None
+        if mirrors or is_drawn:
+            with timings.stage("upload"):
+                self._panorama.upload(packed=is_drawn or rings, plain=mirrors)
         self._scene_light.begin_frame(patient=light is not None)
         if light is None:
             light = self._light(timings, moment, scene.lighting)
@@ -122,13 +125,11 @@ class Pipeline:
             return Rendered(frame if output is None else _copied(frame, output), light, 0.0, timings, placement.errors)
         lit = self._scene_light.run(scene, light, placement, self._rings_for(scene), timings)
         with timings.stage("objects_and_composite"):
-            draw_view = self._drawing(placement)
-            touched = self._composite.run(placement.views, draw_view, lit.maps, lit.ambient, lit.ground, self._scene_light.atlases,
-                                          self._floor(scene, placement), lit.catchers)
+            touched = self._draw_tiles(scene, placement, lit)
             self._scene_light.end_frame()
             self._context.start()   # while the planes are being copied
         with timings.stage("write"):
-            composited, radiance = self._write(frame, touched, output)
+            composited, radiance = self._write(frame, placement, touched, output)
         self._context.collect()
         fraction = len(touched) * TILE * TILE / (self._size[0] * self._size[1])
         return Rendered(composited, light, fraction, timings, placement.errors, radiance)
@@ -155,7 +156,7 @@ class Pipeline:
         lit = self._scene_light.last
         if lit is not None:
             self._shading.compile_variants(lit.placement.views[0], list(lit.placement.objects.values()))
-            self._composite.compile_variants()
+            (self._kept or self._composite).compile_variants()
 
     def _light(self, timings: Timings, moment: float | None, lighting: Lighting) -> FrameLight:
         with timings.stage("radiance_map"):
@@ -178,6 +179,18 @@ class Pipeline:
             self._upper = RadianceMapStage(self._context, self._panorama, (THRESHOLD_WIDTH, THRESHOLD_HEIGHT))
         return self._upper.run_rows(THRESHOLD_HEIGHT // 2)
 
+    def _kept_for(self, placement: Placement) -> KeptLayers | None:
+        """Who composites this; a floor that mirrors depends on other pixels too, which layers do not know."""
+        return None if placement.mirrored else self._kept
+
+    def _draw_tiles(self, scene: Scene, placement: Placement, lit: LitScene) -> NDArray[np.integer]:
+        """Returns the touched tiles, one a row."""
+        kept, draw_view, atlases = self._kept_for(placement), self._drawing(placement), self._scene_light.atlases
+        if kept is not None:
+            return kept.run(placement.views, draw_view, lit.maps, lit.ambient, lit.ground, atlases, lit.catchers)
+        return self._composite.run(placement.views, draw_view, lit.maps, lit.ambient, lit.ground, atlases,
+                                   self._floor(scene, placement), lit.catchers)
+
     def _drawing(self, placement: Placement) -> DrawView:
         objects = list(placement.objects.values())
         return lambda view: self._shading.draw(view, objects)
@@ -197,10 +210,14 @@ class Pipeline:
 
         return SpecularFloor(placement.mirrored, picture, scene.ground.specular, self._radiance.texture if spread > 0 else None)
 
-    def _write(self, frame: Frame, tiles: NDArray[np.intp], output: YuvFrame | None) -> tuple[Frame, TouchedRadiance | None]:
+    def _write(self, frame: Frame, placement: Placement, tiles: NDArray[np.integer],
+               output: YuvFrame | None) -> tuple[Frame, TouchedRadiance | None]:
         if isinstance(frame, YuvFrame):
-            composited = _copied(frame, output)
-            self._composite.write_yuv(composited, tiles)
+            composited, kept = _copied(frame, output), self._kept_for(placement)
+            if kept is not None:
+                kept.write(composited)
+            else:
+                self._composite.write_yuv(composited, tiles)
             return composited, None
         radiance, touched = self._composite.touched_radiance(tiles, frame)
         if isinstance(frame, RadianceFrame):
@@ -219,7 +236,7 @@ class Pipeline:
         self._context.rest()
         self._placer.release()
         self._openness.release()
-        release_all(self._composite, self._shading, self._surfaces, self._upper, self._rings, self._moments,
+        release_all(self._composite, self._kept, self._shading, self._surfaces, self._upper, self._rings, self._moments,
                     self._floor_blur, self._scene_light, self._radiance, self._panorama)
 
 

@@ -1,7 +1,7 @@
 #!/bin/sh
 # Installs the Debian or Ubuntu packages that are missing, and says so. Usage: apt-packages.sh run|test|truth
 set -eu
-packages="python3-venv libgl1 libegl1 libegl-mesa0 libgl1-mesa-dri"
+packages="python3-venv gcc libc6-dev libgl1 libegl1 libegl-mesa0 libgl1-mesa-dri"
 if [ "${1:-run}" = test ]; then
     packages="$packages chromium nginx libnginx-mod-rtmp python3-gi gir1.2-gst-rtsp-server-1.0 gstreamer1.0-tools
         gstreamer1.0-plugins-base gstreamer1.0-plugins-good gstreamer1.0-plugins-bad gstreamer1.0-plugins-ugly"

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Enum
 
 import moderngl
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from renderer.compositing.tile_plan import POINT_INTS, POINT_LAYOUT, SLOTS, Batch, TilePlan, make_plan
 from renderer.frame import RadianceFrame, RgbFrame, YuvFrame
 from renderer.gl import Context, release_all, set_uniforms
-from renderer.objects.placement import TILE, View
+from renderer.objects.placement import TILE, TileMask, View
 from renderer.objects.shading import Drawn
 from renderer.objects.specular_floor import SpecularFloor
 from renderer.panorama import PanoramaTextures
@@ -28,6 +29,21 @@ ATLAS_COLUMNS = 32
 FIRST_UNIT = 16           # after those of the object stage, which draws in between
 
 DrawView = Callable[[View], Drawn]
+
+
+class Output(Enum):
+    """What is drawn for each pixel: Y'CbCr codes, radiance, or the layers of `kept_layers.py`."""
+
+    CODES = 0
+    RADIANCE = 1
+    LAYERS = 2
+
+    @property
+    def textures(self) -> tuple[str, ...]:
+        """Types of the atlases, four components each."""
+        return {Output.CODES: ("f1", "f1"), Output.RADIANCE: ("f4",), Output.LAYERS: ("f2", "f2")}[self]
+
+
 NO_VIEW, PERSPECTIVE, CUBE_FACE = 0, 1, 2     # as in composite.frag.glsl
 # kind of view; maps of lights, and of the residual; additive; with a specular floor; with catchers
 Variant = tuple[int, int, int, bool, bool, bool]
@@ -45,13 +61,13 @@ class GroundLight:
 
 
 class CompositeStage:
-    """Owns the composite program and its output atlas for one source geometry."""
+    """Owns the composite program and its output atlases for one source geometry."""
 
-    def __init__(self, context: Context, panorama: PanoramaTextures) -> None:
+    def __init__(self, context: Context, panorama: PanoramaTextures, output: Output) -> None:
         self._context = context
         self._panorama = panorama
-        self._is_yuv = panorama.kind is YuvFrame
-        self._fragments = TILE // 2 if self._is_yuv else TILE
+        self._output = output
+        self._fragments = TILE // 2 if output is Output.CODES else TILE     # a side of a tile
         self._programs: dict[Variant, moderngl.Program] = {}
         self._vertex_arrays: dict[Variant, moderngl.VertexArray] = {}
         self._last_plan: TilePlan | None = None
@@ -66,7 +82,7 @@ class CompositeStage:
         self._framebuffer: moderngl.Framebuffer | None = None
         self._points = context.gl.buffer(reserve=4 * POINT_INTS * 256)
         self._coverage_program = context.program("composite.vert.glsl", "coverage.frag.glsl", {
-            "OUTPUT_YUV": int(self._is_yuv), "VIEW": PERSPECTIVE, "MAPS": 0, "AMBIENTS": 0, "COVERAGE": 1})
+            **self._outputs, "VIEW": PERSPECTIVE, "MAPS": 0, "AMBIENTS": 0, "COVERAGE": 1})
         set_uniforms(self._coverage_program, {"frame_size": panorama.size, "tile_fragments": self._fragments, "tile_pixels": TILE,
                                               "atlas_columns": ATLAS_COLUMNS})
         self._coverage_array: moderngl.VertexArray | None = None
@@ -75,11 +91,12 @@ class CompositeStage:
 
     def run(self, views: list[View], draw_view: DrawView, maps: list[ShadowMap], ambient: list[ShadowMap],
             ground: GroundLight, atlases: ShadowAtlases, floor: SpecularFloor | None = None,
-            catchers: CatcherLayer | None = None) -> NDArray[np.intp]:
-        """Draw every touched tile into the atlas. Returns the (n, 2) row and column of each, in atlas order."""
+            catchers: CatcherLayer | None = None, only: TileMask | None = None) -> NDArray[np.intp]:
+        """Draw every touched tile into the atlas, or `only` some. Returns the (n, 2) row and column of each, in atlas order."""
         maps = sorted(maps, key=lambda shadow: shadow.light)[:MAX_SHADOWS]
         ambient = ambient[:MAX_SHADOWS]
-        plan = self._plan(views, maps, ambient, () if floor is None else floor.views, () if catchers is None else catchers.views)
+        others = (() if floor is None else floor.views, () if catchers is None else catchers.views)
+        plan = self._plan(views, maps, ambient, others, only)
         if not len(plan.tiles):
             return plan.tiles
         self._reserve(len(plan.tiles))
@@ -92,7 +109,7 @@ class CompositeStage:
         # all views first: reading a texture that has just been drawn makes a software renderer wait for it
         drawn = [draw_view(view) if batches else None for view, batches in zip(views, plan.batches, strict=False)]
         self._pictures = [] if floor is None else [floor.picture(view) for view in floor.views]
-        self._ratios = [] if catchers is None else [catchers.picture(view) for view in catchers.views]
+        self._ratios = [] if catchers is None else [catchers.picture(view)[0] for view in catchers.views]
         assert self._framebuffer is not None
         self._context.gl.enable_only(moderngl.PROGRAM_POINT_SIZE)
         self._draw_coverage(plan, [view for view in drawn if view is not None])
@@ -114,7 +131,12 @@ class CompositeStage:
                        view)
         self._context.gl.enable_only(moderngl.NOTHING)
 
-    def _plan(self, views: list[View], maps: list[ShadowMap], ambient: list[ShadowMap], *others: tuple[View, ...]) -> TilePlan:
+    @property
+    def _outputs(self) -> dict[str, int]:
+        return {"OUTPUT_YUV": int(self._output is Output.CODES), "OUTPUT_LAYERS": int(self._output is Output.LAYERS)}
+
+    def _plan(self, views: list[View], maps: list[ShadowMap], ambient: list[ShadowMap], others: tuple[tuple[View, ...], ...],
+              only: TileMask | None) -> TilePlan:
         """Which tiles are drawn with what; kept for as long as all masks are the same arrays. `others`: the mirrored views, and
         those of catchers."""
         masks = [view.tiles for view in (*views, *(view for group in others for view in group))]
@@ -122,9 +144,9 @@ class CompositeStage:
         sizes = (len(views), len(maps), *map(len, others))
         kept = self._last_plan
         if kept is not None and kept.sizes == sizes and len(kept.masks) == len(masks) and all(
-                a is b for a, b in zip(kept.masks, masks, strict=True)):
+                a is b for a, b in zip(kept.masks, masks, strict=True)) and _same(kept.only, only):
             return kept
-        plan = self._last_plan = make_plan(views, maps, ambient, others, masks, sizes)
+        plan = self._last_plan = make_plan(views, maps, ambient, others, masks, sizes, only)
         self._upload(plan.points)
         return plan
 
@@ -142,15 +164,14 @@ class CompositeStage:
             self._release_target()
             self._rows = -(-rows // 8) * 8
             size = (ATLAS_COLUMNS * self._fragments, self._rows * self._fragments)
-            dtypes = ["f1", "f1"] if self._is_yuv else ["f4"]
-            self._textures = [self._context.texture(size, 4, dtype) for dtype in dtypes]
+            self._textures = [self._context.texture(size, 4, dtype) for dtype in self._output.textures]
             self._framebuffer = self._context.gl.framebuffer(self._textures)
 
     def _variant(self, variant: Variant) -> tuple[moderngl.Program, moderngl.VertexArray]:
         if variant not in self._programs:
             view, maps, ambients, additive, floor, catchers = variant
             self._programs[variant] = self._context.program("composite.vert.glsl", "composite.frag.glsl", {
-                **self._panorama.defines, "OUTPUT_YUV": int(self._is_yuv), "VIEW": view,
+                **self._panorama.defines, **self._outputs, "VIEW": view,
                 "MAPS": maps, "AMBIENTS": ambients, "COVERAGE": 0, "ADDITIVE": int(additive),
                 "FLOOR": int(floor), "CATCHERS": int(catchers)})
         program = self._programs[variant]
@@ -170,7 +191,7 @@ class CompositeStage:
             "coverage": FIRST_UNIT + 3,
             "atlas_size": self._framebuffer.size, "tile_fragments": self._fragments, "tile_pixels": TILE,
             "atlas_columns": ATLAS_COLUMNS}
-        if self._is_yuv:
+        if self._output is Output.CODES:
             values["yuv_from_rgb"] = self._panorama.format.yuv_from_rgb().T
         rects = np.zeros((4, MAX_SHADOWS, 4))
         for kind, shadows in ((0, maps), (2, ambient)):
@@ -223,21 +244,29 @@ class CompositeStage:
 
     def _make_coverage(self, rows: int) -> None:
         size = (ATLAS_COLUMNS * self._fragments, rows * self._fragments)
-        self._coverage = self._context.texture(size, 4 if self._is_yuv else 1, "f1", linear=False)
+        self._coverage = self._context.texture(size, 4 if self._output is Output.CODES else 1, "f1", linear=False)
         self._coverage_target = self._context.gl.framebuffer([self._coverage])
 
     def _read(self, count: int, attachment: int) -> NDArray[np.generic]:
-        """(count, fragments, fragments, 4) tiles of the atlas."""
-        assert self._framebuffer is not None
+        """(count, fragments, fragments, 4) tiles of an atlas."""
         f = self._fragments
-        rows = -(-count // ATLAS_COLUMNS)
-        dtype = "f1" if self._is_yuv else "f4"
-        data = self._framebuffer.read(viewport=(0, 0, ATLAS_COLUMNS * f, rows * f), components=4, attachment=attachment,
-                                      alignment=1, dtype=dtype)
-        pixels = np.frombuffer(data, "u1" if self._is_yuv else "f4").reshape(rows, f, ATLAS_COLUMNS, f, 4)
-        return pixels.transpose(0, 2, 1, 3, 4).reshape(-1, f, f, 4)[:count]
+        pixels = self._atlas(count, attachment)
+        return pixels.reshape(-1, f, ATLAS_COLUMNS, f, 4).transpose(0, 2, 1, 3, 4).reshape(-1, f, f, 4)[:count]
 
-    def write_yuv(self, frame: YuvFrame, tiles: NDArray[np.intp]) -> None:
+    def _atlas(self, count: int, attachment: int) -> NDArray[np.generic]:
+        """(height, width, 4) all rows of an atlas that hold the first `count` tiles."""
+        assert self._framebuffer is not None
+        width, height = ATLAS_COLUMNS * self._fragments, -(-count // ATLAS_COLUMNS) * self._fragments
+        dtype = self._output.textures[attachment]
+        data = self._framebuffer.read(viewport=(0, 0, width, height), components=4, attachment=attachment, alignment=1, dtype=dtype)
+        return np.frombuffer(data, {"f1": "u1", "f2": "f2", "f4": "f4"}[dtype]).reshape(height, width, 4)
+
+    def layers(self, count: int) -> tuple[NDArray[np.float16], NDArray[np.float16]]:
+        """The atlases with the layers of the first `count` tiles."""
+        factors, addends = (self._atlas(count, attachment).astype(np.float16, copy=False) for attachment in (0, 1))
+        return factors, addends
+
+    def write_yuv(self, frame: YuvFrame, tiles: NDArray[np.integer]) -> None:
         """Put the tiles into the planes, in place."""
         if not len(tiles):
             return
@@ -248,7 +277,7 @@ class CompositeStage:
         _scatter(frame.u, chroma[..., 0], tiles)
         _scatter(frame.v, chroma[..., 1], tiles)
 
-    def touched_radiance(self, tiles: NDArray[np.intp], frame: RgbFrame | RadianceFrame) -> tuple[NDArray[np.float32],
+    def touched_radiance(self, tiles: NDArray[np.integer], frame: RgbFrame | RadianceFrame) -> tuple[NDArray[np.float32],
                                                                                                    NDArray[np.bool_]]:
         """(height, width, 3) composited radiance, zero where untouched, and the (height, width) mask of touched pixels."""
         height, width = frame.rgb.shape[:2]
@@ -265,6 +294,10 @@ class CompositeStage:
         self._release_target()
         release_all(*self._vertex_arrays.values(), *self._programs.values(), self._points)
         release_all(self._coverage_array, self._coverage_target, self._coverage, self._coverage_program)
+
+
+def _same(one: TileMask | None, other: TileMask | None) -> bool:
+    return one is other or (one is not None and other is not None and np.array_equal(one, other))
 
 
 def _bind_view(program: moderngl.Program, drawn: Drawn) -> None:
@@ -299,7 +332,7 @@ def _bind_catchers(program: moderngl.Program, view: View, ratio: moderngl.Textur
         "catcher_scale": (view.size[0] / ratio.width, view.size[1] / ratio.height)})
 
 
-def _scatter(plane: NDArray[np.generic], blocks: NDArray[np.generic], tiles: NDArray[np.intp]) -> None:
+def _scatter(plane: NDArray[np.generic], blocks: NDArray[np.generic], tiles: NDArray[np.integer]) -> None:
     """Write (n, size, size, ...) blocks to their tiles of a plane; tiles at the far edges are cut."""
     size = blocks.shape[1]
     rows, columns = plane.shape[0] // size, plane.shape[1] // size

@@ -39,12 +39,14 @@ class TilePlan:
     covered: int                            # tiles of all views together
     masks: list[TileMask]
     sizes: tuple[int, ...]      # views, light maps, mirrored views, views of catchers
+    only: TileMask | None = None
 
 
 def make_plan(views: list[View], maps: list[ShadowMap], ambient: list[ShadowMap], others: tuple[tuple[View, ...], ...],
-              masks: list[TileMask], sizes: tuple[int, ...]) -> TilePlan:
-    """`others`: the mirrored views, and those of catchers; a tile has one of each at most."""
-    tiles = np.argwhere(np.logical_or.reduce(masks)) if masks else np.zeros((0, 2), dtype=np.intp)
+              masks: list[TileMask], sizes: tuple[int, ...], only: TileMask | None = None) -> TilePlan:
+    """`others`: the mirrored views, and those of catchers; a tile has one of each at most. `only`: the tiles that are wanted."""
+    touched = np.logical_or.reduce(masks) if masks else np.zeros((0, 0), dtype=bool)
+    tiles = np.argwhere(touched if only is None else touched & only)
     map_lists, ambient_lists = _reached(tiles, maps, SLOTS[-1][0]), _reached(tiles, ambient, SLOTS[-1][1])
     rows = np.concatenate([tiles[:, ::-1], np.arange(len(tiles))[:, None], map_lists, ambient_lists,
                            np.full((len(tiles), 1), -1)], axis=1).astype("i4")
@@ -69,7 +71,7 @@ def make_plan(views: list[View], maps: list[ShadowMap], ambient: list[ShadowMap]
             batches[-1].append(Batch(SLOTS[kind[0]], int(kind[1]), int(kind[2]), first, len(points[-1])))
             first += len(points[-1])
         covered += int(members.sum()) if members is not no_view else 0
-    return TilePlan(tiles, np.concatenate(points), batches, view_points, covered, masks, sizes)
+    return TilePlan(tiles, np.concatenate(points), batches, view_points, covered, masks, sizes, only)
 
 
 def _reached(tiles: NDArray[np.intp], touched: list[ShadowMap], most: int) -> NDArray[np.intp]:

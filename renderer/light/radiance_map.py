@@ -1,7 +1,7 @@
 """The radiance map: the frame's light on a small equirectangular grid, the input of every lighting stage.
 
 Inverse tone mapping is fused with the reduction; a full-resolution HDR frame never exists. The planes are read eight pixels a
-fetch, and polynomials stand in for pow().
+fetch, and polynomials stand in for pow(). Where OpenGL is software, the processor does the same directly (`renderer/native`).
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from renderer.frame import Frame, YuvFrame
 from renderer.gl import Context, release_all, set_uniforms
 from renderer.light.inverse_tone_mapping import luminance_of
+from renderer.native.kernels import is_built, reduce_planes
 from renderer.panorama import PanoramaTextures
 
 TARGET_WIDTH = 256
@@ -74,12 +75,20 @@ class RadianceMapStage:
         defines = {**panorama.defines, "COLUMNS": columns, "ROWS": rows}
         self._program = context.program("full_screen.vert.glsl", "radiance_map.frag.glsl", defines)
         self.texture = context.texture(self.size, 4, "f4", wrap_x=True)
+        # in blocks of 2 x 2 pixels; a software renderer takes more than twice as long
+        self._by_processor = (context.is_software and panorama.kind is YuvFrame and is_built() and not any(
+            frame % (2 * texels) for frame, texels in zip(panorama.size, self.size, strict=True)))
         self._target = context.gl.framebuffer([self.texture])
         self._triangle = context.gl.vertex_array(self._program, [])
 
     def run(self) -> RadianceMap:
-        """Reduce the frame that is in the panorama's textures. The full map also stays in `texture` for mirrors."""
-        texels = self._draw(self.size[1])
+        """Reduce the frame that the panorama shows. The full map also stays in `texture` for mirrors."""
+        frame = self._panorama.frame
+        if self._by_processor and isinstance(frame, YuvFrame):
+            texels = reduce_planes(frame, self.size)
+            self.texture.write(texels)
+        else:
+            texels = self._draw(self.size[1])
         return RadianceMap(np.ascontiguousarray(texels[..., :3]), np.ascontiguousarray(texels[..., 3]))
 
     def run_rows(self, rows: int) -> NDArray[np.float32]:
@@ -87,6 +96,7 @@ class RadianceMapStage:
         return self._draw(rows)[..., :3]
 
     def _draw(self, rows: int) -> NDArray[np.float32]:
+        self._panorama.upload()
         self._panorama.bind(self._program)
         set_uniforms(self._program, {"map_size": self.size})
         self._target.use()

@@ -14,10 +14,12 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from renderer.frame import YuvFrame
 from renderer.gl import Context, release_all, set_uniforms
 from renderer.light.detection import MIN_ANGULAR_RADIUS, MIN_CONTRIBUTION, Candidate, Found
 from renderer.light.inverse_tone_mapping import WEIGHTS
 from renderer.light.sources import Grid
+from renderer.native.kernels import is_built, texel_moments
 from renderer.panorama import PanoramaTextures
 
 Array = NDArray[np.float64]
@@ -32,6 +34,7 @@ class MomentStage:
 
     def __init__(self, context: Context, panorama: PanoramaTextures, map_size: tuple[int, int]) -> None:
         self._panorama, self._map_size = panorama, map_size
+        self._by_processor = context.is_software and panorama.kind is YuvFrame and is_built()   # without uploading the frame
         self._program = context.program("moments.vert.glsl", "moments.frag.glsl", panorama.defines)
         self._texels = context.gl.buffer(reserve=4 * CAPACITY)
         self._points = context.gl.vertex_array(self._program, [(self._texels, "1i", "texel")])
@@ -40,7 +43,11 @@ class MomentStage:
 
     def run(self, texels: Indices) -> Array:
         """(n, 4) for at most CAPACITY texels of the map, by flat index: mean luminance by the tone curve; its moments."""
+        frame = self._panorama.frame
+        if self._by_processor and isinstance(frame, YuvFrame):
+            return texel_moments(frame, self._map_size, texels.astype(np.int32)).astype(np.float64)
         self._texels.write(np.asarray(texels, dtype=np.int32))
+        self._panorama.upload()
         self._panorama.bind(self._program)
         set_uniforms(self._program, {"map_size": self._map_size, "capacity": CAPACITY})
         self._target.use()

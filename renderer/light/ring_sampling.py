@@ -32,6 +32,7 @@ class RingSource:
         `clamp_luminance` above 0 stands in."""
         self._kept.write(np.ascontiguousarray(kept))
         self._kept.use(KEPT_UNIT)
+        self._panorama.upload(plain=True)
         self._panorama.bind(self._program)
         set_uniforms(self._program, {"kept": KEPT_UNIT, "clamp_luminance": clamp_luminance})
         self._target.use()

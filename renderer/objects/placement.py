@@ -6,7 +6,7 @@ group that is wider than a view can be is drawn into the faces of a cube.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +72,8 @@ def touched_tiles(points: Array, frame_size: tuple[int, int]) -> TileMask:
 class View:
     """A perspective view from the origin. Rows of `rotation` are right, up, forward; `bounds` are left, right, bottom, top on
     the tangent plane; `cube_axis` is the face 2 * axis + negative, or -1 when the view is no cube face;
-    `density`, view pixels per panorama pixel. With `mirror_y` it shows the world mirrored at this height, in metres."""
+    `density`, view pixels per panorama pixel; `member_tiles` those of each member alone. With `mirror_y` it shows the world
+    mirrored at this height, in metres."""
 
     rotation: Array
     bounds: tuple[float, float, float, float]
@@ -83,6 +84,7 @@ class View:
     cube_axis: int = -1
     density: float = 1.0
     mirror_y: float | None = None
+    member_tiles: tuple[TileMask, ...] = ()
 
     @property
     def camera_y(self) -> float:
@@ -122,9 +124,10 @@ def plan_views(outlines: list[Array], tiles: list[TileMask], frame_size: tuple[i
         distance = np.linalg.norm(points, axis=1)
         depth_range = (max(NEAR_M, 0.3 * float(distance.min())), 2.0 * float(distance.max()) + 1.0)
         if float((directions @ axis).min()) >= np.cos(max_half_angle):
-            views.append(single_view(points, axis, frame_size, depth_range, tuple(group), mask))
+            found = [single_view(points, axis, frame_size, depth_range, tuple(group), mask)]
         else:
-            views += [_cube_face(face, frame_size, depth_range, tuple(group), mask) for face in range(6)]
+            found = [_cube_face(face, frame_size, depth_range, tuple(group), mask) for face in range(6)]
+        views += [replace(view, member_tiles=tuple(tiles[i] for i in group)) for view in found]
     return views
 
 

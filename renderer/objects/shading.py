@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
@@ -69,7 +70,7 @@ class _Shaded:
     table_of: int | None = None             # number of the illumination
     turns: Turns = field(default_factory=Turns)
     rectangles: dict[int, tuple[int, int, int, int]] = field(default_factory=dict)      # of each object, by its index
-    times: int = 0                          # that it was changed
+    numbers: dict[int, int] = field(default_factory=dict)   # of each object, another for another picture of it
 
     def costs(self) -> dict[int, int]:
         """Pixels of each object's rectangle."""
@@ -77,9 +78,11 @@ class _Shaded:
 
 
 class Drawn(NamedTuple):
-    """A view's picture: premultiplied radiance, and its silhouette with (2, 3) from the view's tangent plane to it."""
+    """A view's picture: premultiplied radiance, and its silhouette with (2, 3) from the view's tangent plane to it. `numbers`: of
+    each member, another for another picture of it."""
 
     view: View
+    numbers: tuple[int, ...]
     radiance: moderngl.Texture
     silhouette: moderngl.Texture
     silhouette_from_tangent: Array
@@ -123,6 +126,7 @@ class ShadingStage:
         self._mirrors = MirrorStage(context, panorama, radiance_texture)
         self.ground_missing = GroundRatioStage(context)
         self._shaded: WeakKeyDictionary[ViewTarget, _Shaded] = WeakKeyDictionary()
+        self._pictures = itertools.count(1)
         self._lobes = LobeAtlas(context)
         self._uniforms: dict[str, object] = {}
         self._illumination: Illumination | None = None
@@ -178,10 +182,11 @@ class ShadingStage:
         """Draw and shade the view's members."""
         target, _ = self.picture(view, objects)
         assert target.silhouette.texture is not None
-        return Drawn(view, target.texture, target.silhouette.texture, target.silhouette.uv_from_tangent())
+        numbers = tuple(self._shaded[target].numbers.get(index, 0) for index in view.members)
+        return Drawn(view, numbers, target.texture, target.silhouette.texture, target.silhouette.uv_from_tangent())
 
     def picture(self, view: View, objects: list[PlacedMesh]) -> tuple[ViewTarget, int]:
-        """The target with the view's members drawn and shaded, and how often it has been: another number for another picture."""
+        """The target with the view's members drawn and shaded, and another number for another picture."""
         target, shaded = self._prepared(view, objects)
         visibility, lit_by = self._lit_by(view, target)
         due = shaded.turns.now(shaded.costs(), lit_by, patient=self.is_patient)
@@ -190,8 +195,8 @@ class ShadingStage:
         for index in view.members:
             if may_mirror(objects[index]):
                 self._mirrors.show(target, view, shaded.rectangles[index])
-                shaded.times += 1
-        return target, shaded.times
+                shaded.numbers[index] = next(self._pictures)
+        return target, max(shaded.numbers.values(), default=0)
 
     def draw_still(self, views: list[View], objects: list[PlacedMesh]) -> None:
         """Draw and shade, ahead of the next frame, what does not depend on it, or some of it; mirrors keep what they show."""
@@ -270,7 +275,7 @@ class ShadingStage:
         shaded = self._shaded[target]
         for index in due:
             self._shade_one(view, target, self._kind(target, objects[index]), visibility, index, shaded.rectangles[index])
-        shaded.times += bool(due)
+            shaded.numbers[index] = next(self._pictures)
 
     def _shade_one(self, view: View, target: ViewTarget, kind: Shading, visibility: moderngl.Texture, member: int,
                    rectangle: tuple[int, int, int, int]) -> None:

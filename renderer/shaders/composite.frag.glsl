@@ -38,6 +38,9 @@ flat in vec3 hidden_cell[AMBIENTS];
 uniform mat4x3 yuv_from_rgb;
 layout(location = 0) out vec4 luma_block;   // 2 x 2 pixels
 layout(location = 1) out vec4 chroma_block; // u, v
+#elif OUTPUT_LAYERS
+layout(location = 0) out vec4 factor_out;   // of the ground's radiance (ADDITIVE: what is less of the tone curve's gain); what is not
+layout(location = 1) out vec4 addend_out;   // covered by the objects | their radiance; 1 where the pixel differs
 #else
 out vec4 pixel_out;                         // radiance, touched
 #endif
@@ -231,6 +234,15 @@ void main() {
     vec3 direction = direction_at(vec2(t.sine.x, t.cosine.x), vec2(t.sine.y, t.cosine.y));
     if (!owned(direction)) discard;
     Layers layers = layers_at(direction, missing_ambient(direction), covered_at(in_tile).x);
+#if OUTPUT_LAYERS
+#if ADDITIVE
+    vec3 factor = (1.0 - layers.ratio) * ground_irradiance / PI;
+#else
+    vec3 factor = layers.ratio;
+#endif
+    factor_out = vec4(factor, 1.0 - layers.object.a);
+    addend_out = vec4(clamp(layers.object.rgb, 0.0, MAX_RADIANCE), differs(layers) ? 1.0 : 0.0);
+#else
     vec3 background = pixel_radiance(min(first_pixel + in_tile, frame_size - 1));
     vec3 opposite = vec3(0.0);
 #if FLOOR
@@ -238,5 +250,6 @@ void main() {
     opposite = floor_environment(pixel_radiance(clamp(mirrored, ivec2(0), frame_size - 1)), vec2(first_pixel + in_tile) + 0.5);
 #endif
     pixel_out = vec4(composite(layers, background, opposite), differs(layers) ? 1.0 : 0.0);
+#endif
 }
 #endif

@@ -9,6 +9,7 @@ behind it, the ground's as well, is not seen.
 
 from __future__ import annotations
 
+import itertools
 import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -57,10 +58,11 @@ class CatcherLight:
 
 @dataclass(frozen=True)
 class CatcherLayer:
-    """What the composite needs: the views, and what draws one (ratio times coverage, coverage)."""
+    """What the composite needs: the views, and what draws one (ratio times coverage, coverage), with another number for another
+    picture."""
 
     views: tuple[View, ...]
-    picture: Callable[[View], moderngl.Texture]
+    picture: Callable[[View], tuple[moderngl.Texture, int]]
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,7 @@ class _Picture:
     ratio_target: moderngl.Framebuffer
     moved: tuple[bytes, ...] = ()               # what the transfer was drawn for
     shown: tuple[int, int] | None = None        # numbers of the light and of its visibility that the ratio was drawn for
+    number: int = 0                             # another for another picture
 
     def release(self) -> None:
         release_all(self.transfer_target, *self.transfer, self.ratio_target, self.ratio)
@@ -99,6 +102,7 @@ class CatcherStage:
         self._ambient = context.texture(NORMALS[::-1], 4, "f4", wrap_x=True)
         self._normals = pixel_directions(*NORMALS)
         self._pictures: WeakKeyDictionary[ViewTarget, _Picture] = WeakKeyDictionary()
+        self._drawings = itertools.count(1)
         self._reach: _Reach | None = None
         self._surfaces_of: tuple[bytes, ...] | None = None
         self._all = self._catchers = SurfaceTiles(np.zeros((0, 0, 3)), np.zeros((0, 0)))
@@ -164,25 +168,27 @@ class CatcherStage:
         farthest = float(np.nan_to_num(np.linalg.norm(self._all.places, axis=-1) + self._all.sizes).max(initial=1.0))
         return views_of_tiles(tiles, self._frame_size, farthest, tuple(range(len(self._things))))
 
-    def picture(self, view: View) -> moderngl.Texture:
-        """(height, width, 4) ratio times coverage, and coverage, in the corner of a texture that the view fills."""
+    def picture(self, view: View) -> tuple[moderngl.Texture, int]:
+        """(height, width, 4) ratio times coverage, and coverage, in the corner of a texture that the view fills; another number
+        for another picture."""
         assert self._light is not None
         target, is_new = self._surfaces.drawn(view, [item.placed for item in self._things], outlined=False)
         moved = tuple(item.placed.state() for item in self._casters)
         kept = self._pictures.get(target)
         if kept is not None and not is_new and kept.moved == moved and self._left <= 0:
-            return kept.ratio
+            return kept.ratio, kept.number
         visibility, number = self._visibility.texture(target, view, (*self._still(), *self._casters), self._light.lights)
         picture = self._pictures[target] = kept or self._new_picture(target)
         if is_new or picture.moved != moved:
             picture.moved = moved
             self._draw_transfer(picture, target, view)
         elif picture.shown == (self._light_number, number):
-            return picture.ratio
+            return picture.ratio, picture.number
         picture.shown = (self._light_number, number)
+        picture.number = next(self._drawings)
         self._left -= view.size[0] * view.size[1]
         self._draw_ratio(picture, target, view, visibility)
-        return picture.ratio
+        return picture.ratio, picture.number
 
     def _still(self) -> tuple[Receiver, ...]:
         """The real things; their own shadows are in the frame already."""

@@ -1,0 +1,1 @@
+"""What runs for every pixel of every frame on the processor, in C: see `kernels.py`."""
