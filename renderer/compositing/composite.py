@@ -13,7 +13,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.compositing.tile_plan import POINT_INTS, POINT_LAYOUT, SLOTS, Batch, TilePlan, make_plan
+from renderer.compositing.tile_plan import POINT_INTS, POINT_LAYOUT, SLOTS, Batch, TilePlan, coverage_points, make_plan
 from renderer.frame import RadianceFrame, RgbFrame, YuvFrame
 from renderer.gl import Context, release_all, set_uniforms
 from renderer.objects.placement import TILE, TileMask, View
@@ -85,7 +85,8 @@ class CompositeStage:
             **self._outputs, "VIEW": PERSPECTIVE, "MAPS": 0, "AMBIENTS": 0, "COVERAGE": 1})
         set_uniforms(self._coverage_program, {"frame_size": panorama.size, "tile_fragments": self._fragments, "tile_pixels": TILE,
                                               "atlas_columns": ATLAS_COLUMNS})
-        self._coverage_array: moderngl.VertexArray | None = None
+        self._coverage_points = context.gl.buffer(reserve=4 * POINT_INTS * 256)
+        self._coverage_array = self._vertex_array(self._coverage_program, self._coverage_points)
         self._covered: list[View] = []      # the views whose coverage is in the atlas
         self._make_coverage(8)
 
@@ -107,15 +108,15 @@ class CompositeStage:
         atlases.lights.use(FIRST_UNIT + 1)
         atlases.ambient.use(FIRST_UNIT + 2)
         # all views first: reading a texture that has just been drawn makes a software renderer wait for it
-        drawn = [draw_view(view) if batches else None for view, batches in zip(views, plan.batches, strict=False)]
+        drawn = [draw_view(view) for view in views]
         self._pictures = [] if floor is None else [floor.picture(view) for view in floor.views]
         self._ratios = [] if catchers is None else [catchers.picture(view)[0] for view in catchers.views]
         assert self._framebuffer is not None
         self._context.gl.enable_only(moderngl.PROGRAM_POINT_SIZE)
-        self._draw_coverage(plan, [view for view in drawn if view is not None])
+        self._draw_coverage(drawn)
         self._coverage.use(FIRST_UNIT + 3)
         self._framebuffer.use()
-        self._last_drawn = next((view for view in drawn if view is not None), None)
+        self._last_drawn = next(iter(drawn), None)
         for view, batches in zip([*drawn, None], plan.batches, strict=True):
             self._draw(batches, view)
         self._context.gl.enable_only(moderngl.NOTHING)
@@ -152,9 +153,8 @@ class CompositeStage:
 
     def _upload(self, points: NDArray[np.int32]) -> None:
         if self._points.size < points.nbytes:
-            release_all(*self._vertex_arrays.values(), self._coverage_array)
+            release_all(*self._vertex_arrays.values())
             self._vertex_arrays.clear()
-            self._coverage_array = None
             self._points.orphan(2 * points.nbytes)
         self._points.write(points)
 
@@ -176,13 +176,13 @@ class CompositeStage:
                 "FLOOR": int(floor), "CATCHERS": int(catchers)})
         program = self._programs[variant]
         if variant not in self._vertex_arrays:
-            self._vertex_arrays[variant] = self._vertex_array(program)
+            self._vertex_arrays[variant] = self._vertex_array(program, self._points)
         return program, self._vertex_arrays[variant]
 
-    def _vertex_array(self, program: moderngl.Program) -> moderngl.VertexArray:
+    def _vertex_array(self, program: moderngl.Program, points: moderngl.Buffer) -> moderngl.VertexArray:
         names = [name for name, _ in POINT_LAYOUT if name in program]
         layout = " ".join(f"{count}i" if name in program else f"{4 * count}x" for name, count in POINT_LAYOUT)
-        return self._context.gl.vertex_array(program, [(self._points, layout, *names)])
+        return self._context.gl.vertex_array(program, [(points, layout, *names)])
 
     def _constants(self, maps: list[ShadowMap], ambient: list[ShadowMap], ground: GroundLight) -> dict[str, object]:
         assert self._framebuffer is not None
@@ -220,13 +220,14 @@ class CompositeStage:
                 _bind_catchers(program, self._catchers.views[batch.catcher], self._ratios[batch.catcher])
             vertex_array.render(moderngl.POINTS, vertices=batch.points, first=batch.first)
 
-    def _draw_coverage(self, plan: TilePlan, drawn: list[Drawn]) -> None:
+    def _draw_coverage(self, drawn: list[Drawn]) -> None:
         """What the views' objects cover, unless that is known."""
         views = [one.view for one in drawn]
         if len(views) == len(self._covered) and all(a is b for a, b in zip(views, self._covered, strict=True)):
             return
         self._covered = views
-        rows = -(-plan.covered // ATLAS_COLUMNS)
+        points = coverage_points(views)
+        rows = -(-len(points) // ATLAS_COLUMNS)
         if rows * self._fragments > self._coverage.height:
             self._context.rest()
             release_all(self._coverage_target, self._coverage)
@@ -234,13 +235,19 @@ class CompositeStage:
         self._coverage_target.use()
         program = self._coverage_program
         set_uniforms(program, {"atlas_size": self._coverage.size})
-        if self._coverage_array is None:
-            self._coverage_array = self._vertex_array(program)
-        for one, (first, count) in zip(drawn, plan.view_points, strict=True):
+        if self._coverage_points.size < points.nbytes:
+            self._coverage_array.release()
+            self._coverage_points.orphan(2 * points.nbytes)
+            self._coverage_array = self._vertex_array(program, self._coverage_points)
+        self._coverage_points.write(points)
+        first = 0
+        for one in drawn:
             one.silhouette.use(FIRST_UNIT + 3)
             set_uniforms(program, {"view_from_world": one.view.rotation.T, "silhouette": FIRST_UNIT + 3,
                                    "silhouette_from_tangent": one.silhouette_from_tangent.T})
+            count = int(one.view.tiles.sum())
             self._coverage_array.render(moderngl.POINTS, vertices=count, first=first)
+            first += count
 
     def _make_coverage(self, rows: int) -> None:
         size = (ATLAS_COLUMNS * self._fragments, rows * self._fragments)
@@ -293,7 +300,7 @@ class CompositeStage:
     def release(self) -> None:
         self._release_target()
         release_all(*self._vertex_arrays.values(), *self._programs.values(), self._points)
-        release_all(self._coverage_array, self._coverage_target, self._coverage, self._coverage_program)
+        release_all(self._coverage_array, self._coverage_points, self._coverage_target, self._coverage, self._coverage_program)
 
 
 def _same(one: TileMask | None, other: TileMask | None) -> bool:

@@ -35,8 +35,6 @@ class TilePlan:
     tiles: NDArray[np.intp]
     points: NDArray[np.int32]
     batches: list[list[Batch]]
-    view_points: list[tuple[int, int]]      # first and number of the points of each view that has any
-    covered: int                            # tiles of all views together
     masks: list[TileMask]
     sizes: tuple[int, ...]      # views, light maps, mirrored views, views of catchers
     only: TileMask | None = None
@@ -56,22 +54,37 @@ def make_plan(views: list[View], maps: list[ShadowMap], ambient: list[ShadowMap]
         for index, view in enumerate(group):
             kinds[view.tiles[tiles[:, 0], tiles[:, 1]], kind] = index
     in_views = [view.tiles[tiles[:, 0], tiles[:, 1]] for view in views]
+    slots = coverage_slots(views)
     no_view = ~np.logical_or.reduce(in_views) if in_views else np.ones(len(tiles), dtype=bool)
     points: list[NDArray[np.int32]] = [np.zeros((0, POINT_INTS), dtype="i4")]
     batches: list[list[Batch]] = []
-    view_points: list[tuple[int, int]] = []
-    first = covered = 0
-    for members in (*in_views, no_view):
+    first = 0
+    for members, slot in zip((*in_views, no_view), (*slots, None), strict=True):
         batches.append([])
-        rows[members, -1] = covered + np.arange(members.sum())      # by tile alone: it stays as other shadows come and go
-        if members is not no_view and members.any():
-            view_points.append((first, int(members.sum())))
+        if slot is not None:
+            rows[members, -1] = slot[tiles[members, 0], tiles[members, 1]]
         for kind in np.unique(kinds[members], axis=0):
             points.append(rows[members & (kinds == kind).all(axis=1)])
             batches[-1].append(Batch(SLOTS[kind[0]], int(kind[1]), int(kind[2]), first, len(points[-1])))
             first += len(points[-1])
-        covered += int(members.sum()) if members is not no_view else 0
-    return TilePlan(tiles, np.concatenate(points), batches, view_points, covered, masks, sizes, only)
+    return TilePlan(tiles, np.concatenate(points), batches, masks, sizes, only)
+
+
+def coverage_slots(views: list[View]) -> list[NDArray[np.intp]]:
+    """Where the coverage of each tile of each view lies: (rows, columns) indices by view and tile alone, so that they stay as
+    shadows come and go. Anything outside the view."""
+    first = np.cumsum([0, *(view.tiles.sum() for view in views)])
+    return [start + (np.cumsum(view.tiles) - 1).reshape(view.tiles.shape) for start, view in zip(first, views, strict=False)]
+
+
+def coverage_points(views: list[View]) -> NDArray[np.int32]:
+    """Points like those of a plan, for all tiles of the views, one view after another."""
+    points = [np.zeros((0, POINT_INTS), dtype="i4")]
+    for view, slots in zip(views, coverage_slots(views), strict=True):
+        tiles = np.argwhere(view.tiles)
+        points.append(np.full((len(tiles), POINT_INTS), -1, dtype="i4"))
+        points[-1][:, :2], points[-1][:, -1] = tiles[:, ::-1], slots[view.tiles]
+    return np.concatenate(points)
 
 
 def _reached(tiles: NDArray[np.intp], touched: list[ShadowMap], most: int) -> NDArray[np.intp]:

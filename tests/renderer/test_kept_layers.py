@@ -186,6 +186,20 @@ def test_no_layer_outlives_what_it_shows(pipeline: Pipeline) -> None:
     assert (stale[0] != found[0]).any()
 
 
+def test_part_of_a_view_can_be_drawn_anew(pipeline: Pipeline) -> None:
+    """Of what a view's objects cover, too: a shadow falls over one of its tiles."""
+    wanted, frame = scene(BALL, METAL), outdoors()
+    light = pipeline.render(frame, wanted).light
+    assert pipeline._kept is not None
+    kept = pipeline._kept
+    found = [plane.copy() for plane in planes(pipeline.render(frame, wanted, light=light).frame)]
+    contents = dict(kept._contents)
+    for key in contents:        # as if each alone had been another
+        kept._contents = {name: value for name, value in contents.items() if name != key}
+        for one, other in zip(found, planes(pipeline.render(frame, wanted, light=light).frame), strict=True):
+            assert (one == other).all(), str(key)
+
+
 def test_only_what_is_another_is_drawn(pipeline: Pipeline, monkeypatch: pytest.MonkeyPatch) -> None:
     assert pipeline._kept is not None
     drawn: list[int] = []
