@@ -34,6 +34,8 @@ from renderer.scene import Lighting, Scene
 from renderer.scene_light import LitScene, SceneLightStage
 from renderer.timings import Timings
 
+STEADY_FRAMES = 2       # under the same light, after which objects look the same too
+
 
 @dataclass(frozen=True)
 class TouchedRadiance:
@@ -73,6 +75,8 @@ class Pipeline:
         self._placer = Placer(self._upload, size, assets, mesh_root)
         self._reader = LightReader()
         self._scene_light = SceneLightStage(context, size, self._surfaces, self._shading)
+        self._last_light: FrameLight | None = None
+        self._steady = 0        # frames since it was another
         is_reduced = self._radiance.size[0] < size[0] or self._radiance.size[1] < size[1]
         self._moments = MomentStage(context, self._panorama, self._radiance.size) if is_reduced else None
         self._access = FrameAccess(self._upper_half, None if self._moments is None else self._moments.run)
@@ -109,12 +113,7 @@ class Pipeline:
         with timings.stage("place"):
             placement = self._placer.place(scene, moment)
         rings = scene.lighting.method("glossy") == "rings36" and bool(placement.objects)
-        mirrors = rings or any(map(may_mirror, placement.objects.values()))
         self._panorama.show(frame)
-        is_drawn = self._kept_for(placement) is None
-        if mirrors or is_drawn:
-            with timings.stage("upload"):
-                self._panorama.upload(packed=is_drawn or rings, plain=mirrors)
         self._scene_light.begin_frame(patient=light is not None)
         if light is None:
             light = self._light(timings, moment, scene.lighting)
@@ -124,12 +123,17 @@ class Pipeline:
         if not placement.objects:
             return Rendered(frame if output is None else _copied(frame, output), light, 0.0, timings, placement.errors)
         lit = self._scene_light.run(scene, light, placement, self._rings_for(scene), timings)
+        kept = self._kept_for(lit)
+        self._shading.mirrors_apart = kept is not None
+        if rings or kept is None:
+            with timings.stage("upload"):
+                self._panorama.upload(plain=rings or any(map(may_mirror, placement.objects.values())))
         with timings.stage("objects_and_composite"):
-            touched = self._draw_tiles(scene, placement, lit)
+            touched = self._draw_tiles(scene, lit, kept)
             self._scene_light.end_frame()
             self._context.start()   # while the planes are being copied
         with timings.stage("write"):
-            composited, radiance = self._write(frame, placement, touched, output)
+            composited, radiance = self._write(frame, kept, touched, output)
         self._context.collect()
         fraction = len(touched) * TILE * TILE / (self._size[0] * self._size[1])
         return Rendered(composited, light, fraction, timings, placement.errors, radiance)
@@ -153,10 +157,15 @@ class Pipeline:
 
     def compile_variants(self) -> None:
         """Have the driver compile every program that usual scenes need, now. After a frame with a light and an object."""
-        lit = self._scene_light.last
-        if lit is not None:
-            self._shading.compile_variants(lit.placement.views[0], list(lit.placement.objects.values()))
-            (self._kept or self._composite).compile_variants()
+        lit, last = self._scene_light.last, self._placer.last
+        if lit is None or last is None:
+            return
+        self._panorama.upload(plain=True)
+        self._shading.compile_variants(lit.placement.views[0], list(lit.placement.objects.values()))
+        for kept in (None, self._kept):
+            self._shading.mirrors_apart = kept is not None
+            self._draw_tiles(last[0], lit, kept)
+            (kept or self._composite).compile_variants()
 
     def _light(self, timings: Timings, moment: float | None, lighting: Lighting) -> FrameLight:
         with timings.stage("radiance_map"):
@@ -179,13 +188,16 @@ class Pipeline:
             self._upper = RadianceMapStage(self._context, self._panorama, (THRESHOLD_WIDTH, THRESHOLD_HEIGHT))
         return self._upper.run_rows(THRESHOLD_HEIGHT // 2)
 
-    def _kept_for(self, placement: Placement) -> KeptLayers | None:
-        """Who composites this; a floor that mirrors depends on other pixels too, which layers do not know."""
-        return None if placement.mirrored else self._kept
+    def _kept_for(self, lit: LitScene) -> KeptLayers | None:
+        """The layers, unless the light is another every few frames, when there is little to keep, or a floor mirrors, which depends
+        on other pixels too."""
+        self._steady = self._steady + 1 if lit.light is self._last_light else 0
+        self._last_light = lit.light
+        return None if lit.placement.mirrored or self._steady < STEADY_FRAMES else self._kept
 
-    def _draw_tiles(self, scene: Scene, placement: Placement, lit: LitScene) -> NDArray[np.integer]:
+    def _draw_tiles(self, scene: Scene, lit: LitScene, kept: KeptLayers | None) -> NDArray[np.integer]:
         """Returns the touched tiles, one a row."""
-        kept, draw_view, atlases = self._kept_for(placement), self._drawing(placement), self._scene_light.atlases
+        placement, draw_view, atlases = lit.placement, self._drawing(lit.placement), self._scene_light.atlases
         if kept is not None:
             return kept.run(placement.views, draw_view, lit.maps, lit.ambient, lit.ground, atlases, lit.catchers)
         return self._composite.run(placement.views, draw_view, lit.maps, lit.ambient, lit.ground, atlases,
@@ -210,12 +222,12 @@ class Pipeline:
 
         return SpecularFloor(placement.mirrored, picture, scene.ground.specular, self._radiance.texture if spread > 0 else None)
 
-    def _write(self, frame: Frame, placement: Placement, tiles: NDArray[np.integer],
+    def _write(self, frame: Frame, kept: KeptLayers | None, tiles: NDArray[np.integer],
                output: YuvFrame | None) -> tuple[Frame, TouchedRadiance | None]:
         if isinstance(frame, YuvFrame):
-            composited, kept = _copied(frame, output), self._kept_for(placement)
+            composited = _copied(frame, output)
             if kept is not None:
-                kept.write(composited)
+                kept.write(composited, frame, self._radiance)
             else:
                 self._composite.write_yuv(composited, tiles)
             return composited, None

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -32,16 +33,23 @@ DrawView = Callable[[View], Drawn]
 
 
 class Output(Enum):
-    """What is drawn for each pixel: Y'CbCr codes, radiance, or the layers of `kept_layers.py`."""
+    """What is drawn for each pixel: Y'CbCr codes, radiance, the layers of `kept_layers.py`, or where mirrors look."""
 
     CODES = 0
     RADIANCE = 1
     LAYERS = 2
+    MIRRORS = 3
 
     @property
     def textures(self) -> tuple[str, ...]:
         """Types of the atlases, four components each."""
-        return {Output.CODES: ("f1", "f1"), Output.RADIANCE: ("f4",), Output.LAYERS: ("f2", "f2")}[self]
+        return {Output.CODES: ("f1", "f1"), Output.RADIANCE: ("f4",), Output.LAYERS: ("f2", "f2"),
+                Output.MIRRORS: ("f4", "f4")}[self]
+
+    @property
+    def shader(self) -> str:
+        """The file."""
+        return "mirrored_pixels.frag.glsl" if self is Output.MIRRORS else "composite.frag.glsl"
 
 
 NO_VIEW, PERSPECTIVE, CUBE_FACE = 0, 1, 2     # as in composite.frag.glsl
@@ -170,7 +178,7 @@ class CompositeStage:
     def _variant(self, variant: Variant) -> tuple[moderngl.Program, moderngl.VertexArray]:
         if variant not in self._programs:
             view, maps, ambients, additive, floor, catchers = variant
-            self._programs[variant] = self._context.program("composite.vert.glsl", "composite.frag.glsl", {
+            self._programs[variant] = self._context.program("composite.vert.glsl", self._output.shader, {
                 **self._panorama.defines, **self._outputs, "VIEW": view,
                 "MAPS": maps, "AMBIENTS": ambients, "COVERAGE": 0, "ADDITIVE": int(additive),
                 "FLOOR": int(floor), "CATCHERS": int(catchers)})
@@ -254,7 +262,7 @@ class CompositeStage:
         self._coverage = self._context.texture(size, 4 if self._output is Output.CODES else 1, "f1", linear=False)
         self._coverage_target = self._context.gl.framebuffer([self._coverage])
 
-    def _read(self, count: int, attachment: int) -> NDArray[np.generic]:
+    def tiles(self, count: int, attachment: int) -> NDArray[Any]:
         """(count, fragments, fragments, 4) tiles of an atlas."""
         f = self._fragments
         pixels = self._atlas(count, attachment)
@@ -278,8 +286,8 @@ class CompositeStage:
         if not len(tiles):
             return
         half = TILE // 2
-        luma = self._read(len(tiles), 0).reshape(-1, half, half, 2, 2).transpose(0, 1, 3, 2, 4).reshape(-1, TILE, TILE)
-        chroma = self._read(len(tiles), 1)
+        luma = self.tiles(len(tiles), 0).reshape(-1, half, half, 2, 2).transpose(0, 1, 3, 2, 4).reshape(-1, TILE, TILE)
+        chroma = self.tiles(len(tiles), 1)
         _scatter(frame.y, luma, tiles)
         _scatter(frame.u, chroma[..., 0], tiles)
         _scatter(frame.v, chroma[..., 1], tiles)
@@ -290,7 +298,7 @@ class CompositeStage:
         height, width = frame.rgb.shape[:2]
         radiance = np.zeros((height, width, 4), dtype=np.float32)
         if len(tiles):
-            _scatter(radiance, self._read(len(tiles), 0), tiles)
+            _scatter(radiance, self.tiles(len(tiles), 0), tiles)
         return radiance[..., :3], radiance[..., 3] > 0.5
 
     def _release_target(self) -> None:
@@ -310,6 +318,11 @@ def _same(one: TileMask | None, other: TileMask | None) -> bool:
 def _bind_view(program: moderngl.Program, drawn: Drawn) -> None:
     view = drawn.view
     drawn.radiance.use(FIRST_UNIT)
+    if drawn.mirrors is not None:
+        named = zip(("mirror_ray", "mirror_share"), drawn.mirrors, strict=True)
+        for unit, (name, texture) in enumerate(named, start=FIRST_UNIT + 7):
+            texture.use(unit)
+            set_uniforms(program, {name: unit})
     left, right, bottom, top = view.bounds
     set_uniforms(program, {
         "view_axis": view.rotation[2], "view_from_world": view.rotation.T,

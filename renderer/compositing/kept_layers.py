@@ -18,8 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.compositing.composite import CompositeStage, DrawView, GroundLight, Output
+from renderer.compositing.mirrored_pixels import MirroredPixels
 from renderer.frame import YuvFrame
 from renderer.gl import Context
+from renderer.light.radiance_map import RadianceMapStage
 from renderer.native import kernels
 from renderer.objects.placement import TileMask, View, tile_grid
 from renderer.objects.shading import Drawn
@@ -43,6 +45,7 @@ class KeptLayers:
         self._stage = CompositeStage(context, panorama, Output.LAYERS)
         self._across, down = tile_grid(panorama.size)
         self._layers = np.zeros((down * self._across, kernels.LAYER_PLANES, kernels.TILE, kernels.TILE), dtype=np.float16)
+        self._mirrored = MirroredPixels(context, panorama)
         self._contents: Contents = {}
         self._touched = np.zeros((down, self._across), dtype=bool)
         self._places = np.zeros(0, dtype=np.int32)
@@ -58,12 +61,15 @@ class KeptLayers:
         if changed.any():
             self._touched = _union([mask for mask, _ in contents.values()], self._touched.shape)
             self._places = np.flatnonzero(self._touched).astype(np.int32)
+            self._mirrored.take_out(self._layers)
             self._keep(self._stage.run(views, lambda view: drawn[id(view)], maps, ambient, ground, atlases, catchers=catchers,
                                        only=changed))
+            self._mirrored.find(list(drawn.values()), self._layers, atlases, self._across)
         return self._places
 
-    def write(self, frame: YuvFrame) -> None:
-        """Composite the layers into the planes, in place."""
+    def write(self, frame: YuvFrame, source: YuvFrame, radiance: RadianceMapStage) -> None:
+        """Composite the layers into the planes, in place. `source`: what mirrors show."""
+        self._mirrored.put(source, radiance, self._layers)
         kernels.composite(frame, self._layers, self._places, self._across, additive=self._additive)
 
     def _contents_of(self, drawn: list[Drawn], maps: list[ShadowMap], ambient: list[ShadowMap], ground: GroundLight,
@@ -103,6 +109,7 @@ class KeptLayers:
 
     def release(self) -> None:
         self._stage.release()
+        self._mirrored.release()
 
 
 def _union(masks: list[TileMask], shape: tuple[int, ...]) -> TileMask:

@@ -78,6 +78,8 @@ class RadianceMapStage:
         # in blocks of 2 x 2 pixels; a software renderer takes more than twice as long
         self._by_processor = (context.is_software and panorama.kind is YuvFrame and is_built() and not any(
             frame % (2 * texels) for frame, texels in zip(panorama.size, self.size, strict=True)))
+        self._newest = np.zeros((self.size[1], self.size[0], 4), dtype=np.float32)
+        self._newest_of: Frame | None = None    # the frame
         self._target = context.gl.framebuffer([self.texture])
         self._triangle = context.gl.vertex_array(self._program, [])
 
@@ -89,7 +91,16 @@ class RadianceMapStage:
             self.texture.write(texels)
         else:
             texels = self._draw(self.size[1])
+        self._newest, self._newest_of = texels, frame
         return RadianceMap(np.ascontiguousarray(texels[..., :3]), np.ascontiguousarray(texels[..., 3]))
+
+    def newest(self, *, is_needed: bool) -> NDArray[np.float32]:
+        """(height, width, 4) of the frame that the panorama shows if it `is_needed`, from every second row of 2 x 2 pixels, which
+        is enough to look at; else of some frame."""
+        frame = self._panorama.frame
+        if is_needed and self._newest_of is not frame and self._by_processor and isinstance(frame, YuvFrame):
+            self._newest, self._newest_of = reduce_planes(frame, self.size, every=2), frame
+        return self._newest
 
     def run_rows(self, rows: int) -> NDArray[np.float32]:
         """Only the uppermost rows: (rows, width, 3) radiance."""

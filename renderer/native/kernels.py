@@ -18,6 +18,9 @@ from renderer.light.inverse_tone_mapping import inverse_gain_table
 
 TILE = 16                   # pixels a side, as in composite.c
 LAYER_PLANES = 8            # as in composite.c
+ADDED = 4                   # the first plane of what is added
+# a pixel that shows a mirror, as in mirror.c
+MIRRORED = np.dtype([("at", "i8"), ("u", "f4"), ("v", "f4"), ("width", "f4"), ("share", "f4", 3), ("base", "f4", 3)], align=True)
 Halves = NDArray[np.float16]
 Floats = NDArray[np.float32]
 _Size = ctypes.c_int64
@@ -27,6 +30,10 @@ _Pointer = ctypes.c_void_p
 class _Picture(ctypes.Structure):
     _fields_ = [(name, _Pointer) for name in "yuv"] + [(f"{name}_stride", _Size) for name in "yuv"] + [
         ("width", ctypes.c_int32), ("height", ctypes.c_int32)]
+
+
+class _Map(ctypes.Structure):
+    _fields_ = [("texels", _Pointer), ("width", _Size), ("height", _Size)]
 
 
 class _Tone(ctypes.Structure):
@@ -42,7 +49,8 @@ def _library() -> ctypes.CDLL | None:
             library = ctypes.CDLL(str(path))
             library.mr360_keep_layers.argtypes = [_Pointer, _Pointer, _Size, _Pointer, _Pointer, _Size, _Pointer]
             library.mr360_composite.argtypes = [_Pointer, _Pointer, _Pointer, _Pointer, _Size, ctypes.c_int32]
-            library.mr360_reduce.argtypes = [_Pointer, _Pointer, _Pointer, *[_Size] * 4, _Pointer, _Pointer]
+            library.mr360_reduce.argtypes = [_Pointer, _Pointer, _Pointer, *[_Size] * 5, _Pointer, _Pointer]
+            library.mr360_mirror.argtypes = [_Pointer, _Pointer, _Pointer, _Pointer, _Size, _Size, _Pointer]
             library.mr360_moments.argtypes = [_Pointer, _Pointer, _Pointer, _Size, _Size, _Pointer, _Size, _Pointer]
             return library
     return None
@@ -76,10 +84,22 @@ def composite(frame: YuvFrame, store: Halves, places: NDArray[np.int32], tiles_a
                               len(places), tiles_across)
 
 
-def reduce_planes(frame: YuvFrame, size: tuple[int, int]) -> Floats:
+def mirror(frame: YuvFrame, radiance: Floats, pixels: NDArray[np.void], store: Halves) -> None:
+    """Put what MIRRORED pixels show of a frame into the layers. `radiance`: its (height, width, 4) map, for wide looks."""
+    for array in (radiance, pixels, store):
+        _check(array)
+    assert pixels.dtype == MIRRORED
+    assert not len(pixels) or int(pixels["at"].max()) + 2 * TILE**2 < store.size
+    matrix = _single(frame.format.rgb_from_yuv())
+    given = _Map(radiance.ctypes.data, radiance.shape[1], radiance.shape[0])
+    _loaded().mr360_mirror(ctypes.byref(_picture(frame)), ctypes.byref(given), matrix.ctypes.data, pixels.ctypes.data, len(pixels),
+                           TILE**2, store.ctypes.data)
+
+
+def reduce_planes(frame: YuvFrame, size: tuple[int, int], every: int = 1) -> Floats:
     """(height, width, 4) mean radiance of a frame after the tone curve, and the share of each texel that the camera has clipped.
 
-    `size`, width and height, must divide the frame's half size.
+    `size`, width and height, must divide the frame's half size. `every`: of so many rows of 2 x 2 pixels one is looked at.
     """
     width, height = size
     chroma_rows, chroma_columns = frame.u.shape
@@ -88,7 +108,7 @@ def reduce_planes(frame: YuvFrame, size: tuple[int, int]) -> Floats:
     matrix, weights = _single(frame.format.rgb_from_yuv()), _row_weights(chroma_rows)
     sums, texels = np.empty(4 * chroma_columns, dtype=np.float32), np.empty((height, width, 4), dtype=np.float32)
     _loaded().mr360_reduce(ctypes.byref(_picture(frame)), matrix.ctypes.data, weights.ctypes.data, width, height,
-                           chroma_columns // width, chroma_rows // height, sums.ctypes.data, texels.ctypes.data)
+                           chroma_columns // width, chroma_rows // height, every, sums.ctypes.data, texels.ctypes.data)
     return texels
 
 

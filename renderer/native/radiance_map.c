@@ -40,14 +40,14 @@ INLINE void add_blocks(const uint8_t *restrict upper, const uint8_t *restrict lo
 }
 
 // `texels`: (map_height, map_width, 4), each of `columns` x `rows` blocks; `sums`: room for 2 * width floats; `row_weights`: of rows of
-// blocks.
+// blocks; one of `every` rows of blocks is looked at.
 MULTIVERSION void mr360_reduce(const Picture *picture, const float *rgb_from_yuv, const float *row_weights, int64_t map_width,
-                               int64_t map_height, int64_t columns, int64_t rows, float *sums, float *texels) {
+                               int64_t map_height, int64_t columns, int64_t rows, int64_t every, float *sums, float *texels) {
     int64_t blocks = map_width * columns;
     for (int64_t row = 0; row < map_height; ++row) {
         float weights = 0.0f;
         memset(sums, 0, sizeof(float) * 4 * (size_t)blocks);
-        for (int64_t block = row * rows; block < (row + 1) * rows; ++block) {
+        for (int64_t block = row * rows; block < (row + 1) * rows; block += every) {
             const uint8_t *upper = picture->y + 2 * block * picture->y_stride;
             add_blocks(upper, upper + picture->y_stride, picture->u + block * picture->u_stride,
                        picture->v + block * picture->v_stride, blocks, rgb_from_yuv, row_weights[block], sums);

@@ -31,8 +31,9 @@ class MirrorStage:
 
     def __init__(self, context: Context, panorama: PanoramaTextures, radiance_texture: moderngl.Texture) -> None:
         self._context, self._panorama, self._radiance_texture = context, panorama, radiance_texture
-        self._program = context.program("full_screen.vert.glsl", "mirror.frag.glsl", panorama.defines)
-        self._triangle = context.gl.vertex_array(self._program, [])
+        self._programs = {apart: context.program("full_screen.vert.glsl", "mirror.frag.glsl",
+                                                 {**panorama.defines, "APART": int(apart)}) for apart in (False, True)}
+        self._triangles = {apart: context.gl.vertex_array(program, []) for apart, program in self._programs.items()}
         self._buffers: WeakKeyDictionary[ViewTarget, _Buffers] = WeakKeyDictionary()
 
     def framebuffer(self, target: ViewTarget, view: View) -> moderngl.Framebuffer:
@@ -46,21 +47,26 @@ class MirrorStage:
             buffers.framebuffer.clear()
         return buffers.framebuffer
 
-    def show(self, target: ViewTarget, view: View, rectangle: Rectangle) -> None:
-        """Fill in the frame in a rectangle of the view's picture."""
-        buffers = self._buffers[target]
+    def rays(self, target: ViewTarget) -> tuple[moderngl.Texture, moderngl.Texture] | None:
+        """Where the pixels of a view's mirrors look (alpha: 1 for a mirror's), and how much of what is there they give back."""
+        buffers = self._buffers.get(target)
+        return None if buffers is None else (buffers.textures[1], buffers.textures[2])
+
+    def show(self, target: ViewTarget, view: View, rectangle: Rectangle, *, apart: bool) -> None:
+        """Fill in a rectangle of the view's picture, with what is seen of the frame or, where that is put in apart, without."""
+        buffers, program = self._buffers[target], self._programs[apart]
         target.shaded.use()
         target.shaded.viewport = (0, 0, *view.size)
-        self._panorama.bind(self._program)
+        self._panorama.bind(program)
         textures = zip(("shaded", "mirror_ray", "mirror_share", "radiance_map"), (*buffers.textures, self._radiance_texture),
                        strict=True)
         for unit, (name, texture) in enumerate(textures, start=FIRST_UNIT):
             texture.use(unit)
-            set_uniforms(self._program, {name: unit})
+            set_uniforms(program, {name: unit})
         target.shaded.scissor = rectangle
-        self._triangle.render(moderngl.TRIANGLES, 3)
+        self._triangles[apart].render(moderngl.TRIANGLES, 3)
         target.shaded.scissor = (0, 0, *target.texture.size)
 
     def release(self) -> None:
         self._context.rest()
-        release_all(*self._buffers.values(), self._triangle, self._program)
+        release_all(*self._buffers.values(), *self._triangles.values(), *self._programs.values())

@@ -72,6 +72,8 @@ class _Shaded:
     rectangles: dict[int, tuple[int, int, int, int]] = field(default_factory=dict)      # of each object, by its index
     numbers: dict[int, int] = field(default_factory=dict)   # of each object, another for another picture of it
 
+    apart: dict[int, int] = field(default_factory=dict)     # the numbers of mirrors' pictures without what they show of the frame
+
     def costs(self) -> dict[int, int]:
         """Pixels of each object's rectangle."""
         return {index: width * height for index, (_, _, width, height) in self.rectangles.items()}
@@ -79,13 +81,16 @@ class _Shaded:
 
 class Drawn(NamedTuple):
     """A view's picture: premultiplied radiance, and its silhouette with (2, 3) from the view's tangent plane to it. `numbers`: of
-    each member, another for another picture of it."""
+    each member, another for another picture of it. `mirrors`: where pixels of mirrors look and how much of what is there they give
+    back, where that is not in the picture; and which members are mirrors."""
 
     view: View
     numbers: tuple[int, ...]
     radiance: moderngl.Texture
     silhouette: moderngl.Texture
     silhouette_from_tangent: Array
+    mirrors: tuple[moderngl.Texture, moderngl.Texture] | None
+    mirroring: tuple[bool, ...]
 
 
 def may_mirror(placed: PlacedMesh) -> bool:
@@ -130,6 +135,7 @@ class ShadingStage:
         self._lobes = LobeAtlas(context)
         self._uniforms: dict[str, object] = {}
         self._illumination: Illumination | None = None
+        self.mirrors_apart = False  # whether what they show of the frame is left out of their pictures
         self.is_patient = False     # whether objects may wait a few frames for a light that has changed
         self._set_for: dict[Shading, View] = {}     # whose uniforms each program has
         self._slots = LIGHT_SLOTS[0]
@@ -183,7 +189,9 @@ class ShadingStage:
         target, _ = self.picture(view, objects)
         assert target.silhouette.texture is not None
         numbers = tuple(self._shaded[target].numbers.get(index, 0) for index in view.members)
-        return Drawn(view, numbers, target.texture, target.silhouette.texture, target.silhouette.uv_from_tangent())
+        mirroring = tuple(self.mirrors_apart and may_mirror(objects[index]) for index in view.members)
+        return Drawn(view, numbers, target.texture, target.silhouette.texture, target.silhouette.uv_from_tangent(),
+                     self._mirrors.rays(target) if any(mirroring) else None, mirroring)
 
     def picture(self, view: View, objects: list[PlacedMesh]) -> tuple[ViewTarget, int]:
         """The target with the view's members drawn and shaded, and another number for another picture."""
@@ -193,9 +201,11 @@ class ShadingStage:
         due += [index for index in view.members if index not in due and self._has_rings]
         self._shade(view, target, visibility, objects, due)
         for index in view.members:
-            if may_mirror(objects[index]):
-                self._mirrors.show(target, view, shaded.rectangles[index])
+            if may_mirror(objects[index]) and not (self.mirrors_apart and shaded.apart.get(index) == shaded.numbers.get(index)):
+                self._mirrors.show(target, view, shaded.rectangles[index], apart=self.mirrors_apart)
                 shaded.numbers[index] = next(self._pictures)
+                if self.mirrors_apart:
+                    shaded.apart[index] = shaded.numbers[index]
         return target, max(shaded.numbers.values(), default=0)
 
     def draw_still(self, views: list[View], objects: list[PlacedMesh]) -> None:
@@ -260,7 +270,8 @@ class ShadingStage:
                 self._shade_one(view, target, Shading(False, slots, lobes, mirrors, reflects), self._visibility.all_visible,
                                 view.members[0], (0, 0, *view.size))
                 if mirrors:
-                    self._mirrors.show(target, view, (0, 0, *view.size))
+                    for apart in (False, True):
+                        self._mirrors.show(target, view, (0, 0, *view.size), apart=apart)
         self.set_illumination(illumination)
         shaded.turns = Turns()
 

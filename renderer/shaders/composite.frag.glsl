@@ -3,22 +3,11 @@
 #include "equirectangular.glsl"
 #include "panorama.glsl"
 
-const float TOUCHED = 1.0 / 1024.0;
 const float MAX_RATIO = 4.0;    // of what an object's own light adds to the ground
 
 #define NO_VIEW 0
 #define PERSPECTIVE 1
 #define CUBE_FACE 2
-
-#if VIEW
-uniform sampler2D view_texture; // premultiplied radiance of the objects in one perspective view
-uniform sampler2D coverage;     // share of each pixel that they cover, tile by tile; four pixels a texel where a fragment is four
-flat in ivec2 coverage_fragment;
-uniform mat3 view_from_world;   // rows: right, up, forward
-uniform vec4 view_bounds;       // left, bottom, 1 / width, 1 / height on the tangent plane
-uniform vec2 view_scale;        // the part of the texture that the view fills
-uniform vec3 view_axis;         // of the cube face
-#endif
 
 uniform float ground_y;
 uniform vec3 ground_irradiance; // without the objects
@@ -48,6 +37,7 @@ out vec4 pixel_out;                         // radiance, touched
 bool inside(vec2 uv) { return all(greaterThanEqual(uv, vec2(0.0))) && all(lessThanEqual(uv, vec2(1.0))); }
 
 #include "tile.glsl"
+#include "object_view.glsl"
 #if FLOOR
 #include "specular_floor.glsl"
 #endif
@@ -104,8 +94,8 @@ vec3 with_catchers(vec3 direction, vec3 ratio) {
 vec4 object_radiance(vec3 direction, float covered) {
 #if VIEW
     vec3 d = view_from_world * direction;
-    vec2 tangent = d.xy / max(d.z, 1e-6), uv = (tangent - view_bounds.xy) * view_bounds.zw;
-    vec4 found = inside(uv) && d.z > 0.0 ? textureLod(view_texture, uv * view_scale, 0.0) : vec4(0.0);
+    vec2 uv = view_uv(d);
+    vec4 found = in_view(d, uv) ? textureLod(view_texture, uv * view_scale, 0.0) : vec4(0.0);
     // Where only a corner is covered, what is beside it; a loop, because a software renderer leaves one that no pixel enters.
     for (int once = covered > TOUCHED && found.a < TOUCHED ? 1 : 0; once > 0; --once) {
         vec2 beside = 0.6 * 2.0 * PI / float(frame_size.x) * view_bounds.zw * view_scale, at = uv * view_scale;
@@ -164,15 +154,6 @@ vec4 covered_at(ivec2 fragment) {
     return texelFetch(coverage, coverage_fragment + fragment, 0);
 #else
     return vec4(0.0);
-#endif
-}
-
-// Whether the cube face that the view shows is the one that owns a pixel; on an edge both do, and show the same.
-bool owned(vec3 d) {
-#if VIEW == CUBE_FACE
-    return dot(d, view_axis) >= max(abs(d.x), max(abs(d.y), abs(d.z)));
-#else
-    return true;
 #endif
 }
 

@@ -34,6 +34,10 @@ void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
     vec4 ray = texelFetch(mirror_ray, pixel, 0), before = texelFetch(shaded, pixel, 0);
     if (ray.a == 0.0) discard;
+#if APART
+    vec3 seen = vec3(0.0);      // native/mirror.c adds it
+#else
     vec3 seen = mirror_radiance(ray.xyz, step_along(pixel, ivec2(1, 0), ray.xyz), step_along(pixel, ivec2(0, 1), ray.xyz));
+#endif
     radiance = vec4(sanitize(before.rgb + texelFetch(mirror_share, pixel, 0).rgb * seen), before.a);
 }

@@ -37,6 +37,11 @@ def planes(frame: object) -> Iterator[np.ndarray]:
     return iter((frame.y, frame.u, frame.v))
 
 
+@pytest.fixture(autouse=True)
+def _layers_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("renderer.pipeline.STEADY_FRAMES", 0)
+
+
 @pytest.fixture
 def pipeline(context: Context) -> Iterator[Pipeline]:
     made = Pipeline(context, YuvFrame, SIZE)
@@ -57,9 +62,9 @@ def both_ways(pipeline: Pipeline, frame: YuvFrame, wanted: Scene) -> tuple[list[
 
 
 @pytest.mark.parametrize("wanted", [
-    scene(BALL, METAL), scene(BALL, MIRROR, BEHIND), scene(BALL, METAL, lighting=PAPER), scene(BALL, local_scene=[TABLE]),
+    scene(BALL, METAL), scene(BALL, BEHIND), scene(BALL, METAL, lighting=PAPER), scene(BALL, local_scene=[TABLE]),
     scene({**BALL, "material": {"emissive": [40, 5, 0]}}), scene(BALL, ground={"specular": 0.3})],
-    ids=["ground", "seam and mirror", "additive", "catcher", "emissive", "specular floor"])
+    ids=["ground", "seam", "additive", "catcher", "emissive", "specular floor"])
 def test_as_opengl_composites(pipeline: Pipeline, wanted: Scene) -> None:
     for layout in (YuvFormat("bt709", False), YuvFormat("bt601", True)):
         assert_alike(*both_ways(pipeline, outdoors(layout=layout), wanted))
@@ -80,6 +85,34 @@ def assert_alike(found: list[np.ndarray], expected: list[np.ndarray]) -> None:
         difference = np.abs(one.astype(int) - other.astype(int))
         assert (difference > 1).mean() < 0.002
         assert difference.max() <= 6
+
+
+@pytest.mark.parametrize("width", [512, 2048])
+def test_mirrors_show_what_opengl_shows(context: Context, width: int) -> None:
+    """A small ball, in which most of the frame comes from the small map, and a large box near by, where it comes from the frame's
+    pixels; the frame has colours and edges, and changes under a light that stays."""
+    size = (width, width // 2)
+    pipeline = Pipeline(context, YuvFrame, size)
+    box = {"mesh": "box", "position": [-1.1, -0.6, -1.3], "scale": [0.8] * 3, "rotation": [0, 0.38268, 0, 0.92388],
+           "material": {"metallic": 1.0, "roughness": 0.0, "base_color": [0.9, 0.7, 0.5]}}
+    wanted = scene(MIRROR, box, BALL)
+    both_ways(pipeline, patches(size, 0.0), wanted)
+    for turn in (0.0, 1.0):
+        frame = patches(size, turn)
+        found, expected = both_ways(pipeline, frame, wanted)
+        shown = np.abs(expected[0].astype(int) - frame.y) > 2
+        assert shown.mean() > 0.03
+        for one, other in zip(found, expected, strict=True):
+            difference = np.abs(one.astype(int) - other.astype(int))
+            assert (difference > 4).sum() < 0.04 * shown.sum()
+    pipeline.release()
+
+
+def patches(size: tuple[int, int], turn: float) -> YuvFrame:
+    """A coloured frame with broad edges, turned by so many radians."""
+    v, u = np.mgrid[0:size[1], 0:size[0]] / np.array([size[1], size[0]])[:, None, None]
+    waves = [np.tanh(3 * np.sin(3 * (2 * np.pi * u + turn) + shift) * np.sin(5 * np.pi * v + shift)) for shift in (0.0, 1.0, 2.0)]
+    return yuv_from_linear(0.3 + 0.2 * np.stack(waves, axis=-1))
 
 
 @pytest.mark.parametrize("additive", [False, True])
@@ -216,6 +249,21 @@ def test_only_what_is_another_is_drawn(pipeline: Pipeline, monkeypatch: pytest.M
     drawn.clear()
     pipeline.render(outdoors(), scene(BALL, {**BEHIND, "material": {"base_color": [0.9, 0.1, 0.1]}}), light=light)
     assert 0 < sum(drawn) < 0.8 * whole
+
+
+def test_layers_are_kept_for_a_light_that_stays(pipeline: Pipeline, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not for one that is another every few frames."""
+    monkeypatch.setattr("renderer.pipeline.STEADY_FRAMES", 2)
+    assert pipeline._kept is not None
+    written: list[int] = []
+    write = pipeline._kept.write
+    monkeypatch.setattr(pipeline._kept, "write", lambda *given: (written.append(frame), write(*given)))
+    wanted, light = scene(BALL, MIRROR), None
+    for frame in range(12):
+        if frame in (0, 2, 4, 6):
+            light, _ = pipeline.analyse(outdoors(70.0 + frame))
+        pipeline.render(outdoors(), wanted, light=light)
+    assert written == [8, 9, 10, 11]
 
 
 def test_a_frame_under_a_still_light_is_followed(pipeline: Pipeline) -> None:
