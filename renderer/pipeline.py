@@ -150,6 +150,11 @@ class Pipeline:
                 self._context.gl.finish()
         return timings
 
+    @property
+    def is_behind(self) -> bool:
+        """Whether objects are still shown in an older light than was prepared last; to `prepare` it again shades more of them."""
+        return self._shading.is_behind
+
     def compile_variants(self) -> None:
         """Have the driver compile every program that usual scenes need, now. After a frame with a light and an object."""
         lit = self._scene_light.last

@@ -193,6 +193,11 @@ class ShadingStage:
                 shaded.times += 1
         return target, shaded.times
 
+    @property
+    def is_behind(self) -> bool:
+        """Whether objects wait for their turn to be shaded by the newest light."""
+        return any(shaded.turns.is_behind for shaded in self._shaded.values())
+
     def draw_still(self, views: list[View], objects: list[PlacedMesh]) -> None:
         """Draw and shade, ahead of the next frame, what does not depend on it, or some of it; mirrors keep what they show."""
         prepared = sorted(((view, *self._prepared(view, objects)) for view in views), key=lambda one: -one[2].turns.waited)

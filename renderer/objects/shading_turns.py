@@ -19,6 +19,7 @@ class Turns:
         self._lit_by: dict[int, LitBy] = {}     # in the order of their turns
         self._had_turn = False                  # ahead of the frame that comes
         self.waited = 0                         # turns without any
+        self.is_behind = False                  # some have not been shaded by the newest light
 
     def ahead(self, members: dict[int, int], lit_by: LitBy, pixels: float) -> list[int]:
         """Those to shade ahead of a frame, which then has had its turn; they count as shaded. `members`: pixels of each object;
@@ -31,6 +32,7 @@ class Turns:
                 break
             affordable.append(index)
         self.waited = self.waited + 1 if stale and not affordable else 0
+        self.is_behind = len(affordable) < len(stale)
         self._had_turn = True
         return self._marked([*new, *affordable], lit_by)
 
@@ -39,6 +41,7 @@ class Turns:
         new, stale = self._due(members, lit_by)
         waits = patient and self._had_turn
         self._had_turn = False
+        self.is_behind = waits and bool(stale)
         return self._marked(new if waits else [*new, *stale], lit_by)
 
     def _due(self, members: dict[int, int], lit_by: LitBy) -> tuple[list[int], list[int]]:
