@@ -23,9 +23,11 @@ class Turns:
 
     def ahead(self, members: dict[int, int], lit_by: LitBy, pixels: float) -> list[int]:
         """Those to shade ahead of a frame, which then has had its turn; they count as shaded. `members`: pixels of each object;
-        those that are new are shaded whatever they cost, then those that have waited longest, as many `pixels` as there are."""
+        those that are new are shaded whatever they cost, then those that have waited longest, as many `pixels` as there are.
+        What is left of turns without any is saved up, so that an object larger than that has its turn too."""
         new, stale = self._due(members, lit_by)
         affordable: list[int] = []
+        pixels = max(pixels, 0.0) * (1 + self.waited)
         for index in stale:
             pixels -= members[index]
             if pixels < 0:
