@@ -29,6 +29,7 @@ from renderer.objects.shading import ShadingStage, may_mirror
 from renderer.objects.specular_floor import FloorBlurStage, SpecularFloor, lobe_spread
 from renderer.objects.surfaces import SurfaceStage
 from renderer.panorama import PanoramaTextures
+from renderer.quality import Quality
 from renderer.scene import Lighting, Scene
 from renderer.scene_light import SceneLightStage
 from renderer.timings import Timings
@@ -82,6 +83,15 @@ class Pipeline:
         uploaded = GpuMesh(self._context, self._surfaces.programs, mesh)
         self._openness.bake(uploaded)
         return uploaded
+
+    @property
+    def quality(self) -> Quality:
+        """How accurate live frames are; may be set between two of them."""
+        return self._scene_light.quality
+
+    @quality.setter
+    def quality(self, quality: Quality) -> None:
+        self._scene_light.quality = quality
 
     @property
     def placement(self) -> Placement | None:

@@ -20,10 +20,11 @@ from renderer.objects.lobe_atlas import LobeAtlas
 from renderer.objects.mirrors import MirrorStage
 from renderer.objects.near_field import Fit
 from renderer.objects.placement import View
-from renderer.objects.shading_turns import MIN_PIXELS, SHARE, LitBy, Turns
+from renderer.objects.shading_turns import MIN_PIXELS, LitBy, Turns
 from renderer.objects.surface_table import TABLE_WIDTH, reflected_solids, surface_rows
 from renderer.objects.surfaces import FIRST_UNIT, MAX_SURFACES, SurfaceStage, ViewTarget
 from renderer.panorama import PanoramaTextures
+from renderer.quality import FULL
 from renderer.shadows.ground_ratio import GroundRatioStage
 from renderer.shadows.light_visibility import LightVisibilityStage, Receiver
 
@@ -127,6 +128,7 @@ class ShadingStage:
         self._uniforms: dict[str, object] = {}
         self._illumination: Illumination | None = None
         self.is_patient = False     # whether objects may wait a few frames for a light that has changed
+        self.quality = FULL
         self._set_for: dict[Shading, View] = {}     # whose uniforms each program has
         self._slots = LIGHT_SLOTS[0]
 
@@ -201,7 +203,7 @@ class ShadingStage:
     def draw_still(self, views: list[View], objects: list[PlacedMesh]) -> None:
         """Draw and shade, ahead of the next frame, what does not depend on it, or some of it; mirrors keep what they show."""
         prepared = sorted(((view, *self._prepared(view, objects)) for view in views), key=lambda one: -one[2].turns.waited)
-        pixels = max(SHARE * sum(sum(shaded.costs().values()) for _, _, shaded in prepared), MIN_PIXELS)
+        pixels = max(self.quality.shading_share * sum(sum(shaded.costs().values()) for _, _, shaded in prepared), MIN_PIXELS)
         for view, target, shaded in prepared:
             visibility, lit_by = self._lit_by(view, target)
             due = shaded.turns.ahead(shaded.costs(), lit_by, pixels if self.is_patient else np.inf)

@@ -6,8 +6,7 @@ nothing to do with the last one, never waits.
 
 from __future__ import annotations
 
-SHARE = 0.4                # of all pixels that objects cover, to be shaded ahead of one frame
-MIN_PIXELS = 12_000        # that are shaded all the same
+MIN_PIXELS = 12_000        # that are shaded ahead of one frame, however small the share that `quality.py` names
 
 LitBy = tuple[int, int]     # numbers of the illumination and of the lights' visibility
 
