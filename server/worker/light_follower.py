@@ -14,14 +14,16 @@ from renderer.light.reading import FrameLight
 from renderer.pipeline import Pipeline
 from renderer.scene import Lighting
 from renderer.timings import Timings
+from server.worker.accuracy import Costs, Situation, at_full_effort
 from server.worker.glance import Glance
 from server.worker.light_need import LightNeed
-from server.worker.light_schedule import FINISH, PREPARE, READ, LightSchedule
+from server.worker.light_schedule import FINISH, PREPARE, READ, SMOOTHING, LightSchedule
 
 BOTH_STEPS_SLACK = 0.4      # of the time between two frames must be left to take both steps towards the next light in one
 NOTICED = 3                 # readings after a glance has found another light: enough for a birth
 MOVING_S = 0.1              # between two readings while objects move by themselves: the near field of each follows its light
 COUNTED = 300               # frames, for the mean interval
+PARTS = ("glossy", "shadows", "objects_and_composite")      # stages of preparing
 
 
 class LightFollower:
@@ -35,6 +37,8 @@ class LightFollower:
         self._next: FrameLight | None = None    # read, but not prepared yet
         self._noticed = 0                       # readings that are still wanted since the glance
         self._read_at = 0.0                     # moment of the last one
+        self.tolerance = 1.0                    # error of the light in use, in units of what can just be seen
+        self._parts_s: dict[str, float] = {}    # of preparing, by stage, smoothed
         self._counted: deque[bool] = deque(maxlen=COUNTED)
         self.light: FrameLight | None = None    # that frames are lit by
 
@@ -80,7 +84,9 @@ class LightFollower:
             due_at -= BOTH_STEPS_SLACK * interval_s
         if self._next is not None:
             if self._schedule.has_time(PREPARE, due_at):
-                stages |= self._timed(PREPARE, self._pipeline.prepare(self._next))
+                prepared = self._pipeline.prepare(self._next)
+                stages |= self._timed(PREPARE, prepared)
+                self._measure(prepared)
                 self.light, self._next = self._next, None
         elif not needed and self.light is not None and self._pipeline.is_behind and self._schedule.has_time(FINISH, due_at):
             stages = self._timed(FINISH, self._pipeline.prepare(self.light))
@@ -90,13 +96,23 @@ class LightFollower:
         self._schedule.took(step, timings.total / 1e3)
         return timings.stages
 
+    def _measure(self, prepared: Timings) -> None:
+        for stage in PARTS:
+            before, now = self._parts_s.get(stage), prepared.stages.get(stage, 0.0) / 1e3
+            self._parts_s[stage] = now if before is None else before + SMOOTHING * (now - before)
+
+    def situation(self, interval_s: float) -> Situation:
+        """What the light costs and how fast it changes; `interval_s` is the source's."""
+        measured = Costs(0.0, self._schedule.cost_s(READ), *(self._parts_s.get(stage, 0.0) for stage in PARTS))
+        return Situation(interval_s, at_full_effort(measured, self._pipeline.quality), self.need.rate, self.need.ground_shares)
+
     def _is_needed(self, moment: float, interval_s: float) -> bool:
         if self.light is None or self._noticed > 0 or not self.light.detection.is_settled:
             return True
         placement = self._pipeline.placement
         longest = MOVING_S if placement is not None and placement.moving else float("inf")
         # half a frame early rather than half a frame late
-        return moment + 0.5 * interval_s - self._read_at >= min(self.need.interval_s(), longest)
+        return moment + 0.5 * interval_s - self._read_at >= min(self.need.interval_s(self.tolerance), longest)
 
     @property
     def mean_interval(self) -> float:

@@ -48,6 +48,7 @@ class LightNeed:
         self._in_a_row = 0      # readings since all began anew
         self._rate = 0.0
         self._most_s = 0.0
+        self.ground_shares: tuple[float, ...] = ()      # of the ground's irradiance, of each light
 
     def reset(self) -> None:
         """What comes has nothing to do with what was, or may not have."""
@@ -85,7 +86,10 @@ class LightNeed:
         faces = np.maximum(irradiance(light.coefficients, AXES), 0.0)
         faces = faces + sum((np.maximum(AXES @ item.direction, 0.0)[:, None] * item.irradiance for item in lights), np.zeros(3))
         whole = max(float((faces @ WEIGHTS).mean()), 1e-9)
+        ground = max(float(faces[1] @ WEIGHTS), 1e-9)
         powers = [float(item.irradiance @ WEIGHTS) for item in lights]
+        self.ground_shares = tuple(power * max(float(item.direction[1]), 0.0) / ground
+                                   for power, item in zip(powers, lights, strict=True))
         weights = [min(1.0, power / (power + whole) / FULL_SHARE) / self._angle for power in powers]
         directions = [weight * item.direction for weight, item in zip(weights, lights, strict=True)]
         return _Reading(moment, tuple(item.id for item in lights), np.array([*faces.ravel(), *powers]), whole,

@@ -19,6 +19,7 @@ from renderer.light.reading import FrameLight
 from renderer.pipeline import Pipeline
 from renderer.scene import Scene
 from server.worker.encode import Composited, EncodeThread
+from server.worker.frame_budget import FrameBudget
 from server.worker.ingest import Ingest
 from server.worker.light_follower import LightFollower
 from server.worker.light_message import light_message
@@ -59,6 +60,8 @@ class RenderLoop:
         self._encode.set_bitrate(start.get("bitrate_bps"))
         self._clock = OutputClock(int(start.get("timestamp", 0)))
         self._statistics = RollingStatistics()
+        self._budget = FrameBudget()
+        self._skipped = 0                           # frames that the budget gave up
         self._ingest: Ingest | None = None
         self._frames_in_before = 0
         self._pipeline: Pipeline | None = None
@@ -175,6 +178,9 @@ class RenderLoop:
         geometry = {"width": frame.width, "height": frame.height, "pix_fmt": frame.format.name}
         self._report_state(flags=flags, input={**(self._state["input"] or {}), **geometry})
         self._frame_number += 1
+        if self._viewers and self._frame_number % self._budget.effort.frame_step:
+            self._skipped += 1
+            return
         started = time.perf_counter()
         try:
             picture = self._reader.read(frame)
@@ -215,6 +221,7 @@ class RenderLoop:
         if self._viewers:
             self._composite(picture, decoded, started, timestamp)
         else:
+            self._budget.rest()
             light, timings = self._pipeline.analyse(picture, decoded.decoded_at, self._scene.lighting)
             self._statistics.add((time.perf_counter() - started) * 1e3, timings.stages)
             self._follower.take(light, decoded.decoded_at)
@@ -240,12 +247,23 @@ class RenderLoop:
         if light is None:
             self._follower.take(rendered.light, decoded.decoded_at)
         else:
-            found, more = self._follower.follow(decoded.decoded_at, 1 / self._encode.fps, self._scene.lighting,
+            interval_s = self._budget.effort.frame_step / self._encode.fps
+            found, more = self._follower.follow(decoded.decoded_at, interval_s, self._scene.lighting,
                                                 every_frame=self._light_clients > 0)
             stages = stages | more
         if found is not None:
             self._send_lights(found, decoded, timestamp)
         self._statistics.add(render_ms, stages)
+        self._balance(decoded.decoded_at, render_ms / 1e3)
+
+    def _balance(self, moment: float, render_s: float) -> None:
+        """Give accuracy up, or take it back, by how long the frame took."""
+        assert self._pipeline is not None
+        assert self._follower is not None
+        lost = self.frames.dropped + self._encode.pictures.dropped
+        if self._budget.feed(moment, render_s, lost, self._follower.situation(1 / self._encode.fps)):
+            self._pipeline.quality = self._budget.effort.quality
+            self._follower.tolerance = self._budget.effort.light_tolerance
 
     def _send_lights(self, light: FrameLight, decoded: Decoded, timestamp: int) -> None:
         message = light_message(light, stream=self._stream, frame=self._frame_number, pts=decoded.pts,
@@ -290,12 +308,12 @@ class RenderLoop:
         self._send({
             "type": "stats", "frames_in": self._frames_in_before + (self._ingest.frames_in if self._ingest else 0),
             "frames_rendered": self._rendered, "frames_encoded": self._encode.frames_encoded,
-            "frames_dropped": self.frames.dropped + self._encode.pictures.dropped, "fps": self._statistics.fps(),
+            "frames_dropped": self.frames.dropped + self._encode.pictures.dropped + self._skipped, "fps": self._statistics.fps(),
             "render_ms": self._statistics.render_ms(), "stages_ms": self._statistics.stages_ms(),
             "touched_fraction": round(self._statistics.touched_fraction, 5),
             "cpu_seconds": round(usage.ru_utime + usage.ru_stime, 3), "scene_revision": self._rendered_revision,
             "light_interval": round(self._follower.mean_interval, 2) if self._follower else 1.0,
-            "scene_errors": self._errors, "discontinuities": self._clock.discontinuities}, b"")
+            "quality": self._budget.report, "scene_errors": self._errors, "discontinuities": self._clock.discontinuities}, b"")
 
     def close(self) -> None:
         """Stop all, join all, release all."""
