@@ -24,7 +24,8 @@ from server.worker.accuracy import (
 HIGH, LOW = 0.95, 0.85          # marks of the load
 TARGET = 0.85                   # that reductions are taken for, all at once
 HOPELESS = 1.8                  # of load, with all else given up: every second frame would be lost anyway, and less evenly
-JUDGED_FRAMES, ROOM_FRAMES = 10, 30     # since the last decision, before anything is given up or taken back
+JUDGED_FRAMES, ROOM_FRAMES = 15, 30     # since the last decision, before anything is given up or taken back
+FIRST_FRAMES = 60                       # that say nothing: models are loaded, all is new
 LOST_FRAMES, LOST_WITHIN_S = 3, 5.0     # moments at which frames were lost that count as lack of time: one stall is no load
 MIN_SAVING = 0.01               # of the time between two frames
 HOLD_S, MOST_HOLD_S = 2.0, 64.0
@@ -48,6 +49,7 @@ class FrameBudget:
     def __init__(self) -> None:
         self._taken: list[Lever] = []
         self._loads: deque[float] = deque(maxlen=ROOM_FRAMES)
+        self._ignored = FIRST_FRAMES
         self._lost_at: deque[float] = deque(maxlen=LOST_FRAMES)
         self._lost = 0
         self._render_s: float | None = None
@@ -66,15 +68,19 @@ class FrameBudget:
         situation = situation._replace(costs=situation.costs._replace(render=self._render_s))
         interval_s = situation.interval_s * self.effort.frame_step
         light_s = predicted_cost_s(self.effort, situation) - situation.costs.render
+        if self._ignored > 0:
+            self._ignored -= 1
+            self._lost = lost
+            return False
         self._loads.append((render_s + light_s) / interval_s)
         if lost > self._lost:
             self._lost_at.append(moment)
         self._lost = lost
-        before, load = self.effort, self._load()
+        before, load = self.effort, self._load(JUDGED_FRAMES)
         if len(self._loads) >= JUDGED_FRAMES and (reason := self._overload(moment, load)):
             self._give_up(moment, load, situation, reason)
         elif len(self._loads) >= ROOM_FRAMES and self._taken:
-            self._take_back(moment, load, situation)
+            self._take_back(moment, self._load(ROOM_FRAMES), situation)
         if self.effort != before:
             self._loads.clear()
             self._lost_at.clear()
@@ -84,13 +90,15 @@ class FrameBudget:
 
     def rest(self) -> None:
         """Nothing is composited for a while."""
+        self._ignored = FIRST_FRAMES
         self._loads.clear()
         self._lost_at.clear()
         self._room_since = None
 
-    def _load(self) -> float:
-        """The ninth decile of the frames since the last decision."""
-        return sorted(self._loads)[int(0.9 * (len(self._loads) - 1))]
+    def _load(self, frames: int) -> float:
+        """The ninth decile of the last frames since the last decision."""
+        newest = sorted(list(self._loads)[-frames:])
+        return newest[int(0.9 * (len(newest) - 1))]
 
     def _is_hopeless(self) -> bool:
         return len(self._loads) == ROOM_FRAMES and sorted(self._loads)[ROOM_FRAMES // 2] > HOPELESS

@@ -47,7 +47,8 @@ class Glance:
         self._marked: Floats | None = None
         self._steps: deque[Floats] = deque(maxlen=NOISE_FRAMES)
 
-    def look(self, picture: YuvFrame) -> Seen:
+    def look(self, picture: YuvFrame, tolerance: float = 1.0) -> Seen:
+        """`tolerance`: of a change, in units of what can just be seen."""
         step = max(1, picture.y.shape[1] // COLUMNS)
         codes = picture.y[step // 2::step, step // 2::step]
         before, self._codes = self._codes, codes.copy()
@@ -57,17 +58,18 @@ class Glance:
             self._marked = None
             return Seen(True, True)
         self._steps.append(_change(faces_before, self._faces))
-        return Seen(False, self._marked is None or self._differs(self._marked, self._faces))
+        return Seen(False, self._marked is None or self._differs(self._marked, self._faces, tolerance))
 
     def mark(self) -> None:
         self._marked = self._faces
 
-    def _differs(self, before: Floats, now: Floats) -> bool:
+    def _differs(self, before: Floats, now: Floats, tolerance: float) -> bool:
         change = _change(before, now)
         usual = list(self._steps)[:-1]      # this frame is no judge of its own noise
-        if not usual or not (change > VISIBLE).any():
-            return bool((change > VISIBLE).any())
-        return bool((change > np.maximum(VISIBLE, NOISE_FACTOR * np.median(usual, axis=0))).any())
+        is_visible = change > tolerance * VISIBLE
+        if not usual or not is_visible.any():
+            return bool(is_visible.any())
+        return bool((is_visible & (change > NOISE_FACTOR * np.median(usual, axis=0))).any())
 
 
 def _difference(before: NDArray[np.uint8], now: NDArray[np.uint8]) -> float:

@@ -44,7 +44,7 @@ class LightFollower:
 
     def look(self, picture: YuvFrame) -> None:
         """Glance at a frame that is about to be composited. After a cut there is no light until it is read."""
-        seen = self._glance.look(picture)
+        seen = self._glance.look(picture, self.tolerance)
         self._counted.append(False)
         if seen.is_cut:
             self._pipeline.reset()
@@ -64,7 +64,7 @@ class LightFollower:
 
     def _learn(self, light: FrameLight, moment: float) -> None:
         self._glance.mark()
-        self.need.learn(light, moment)
+        self.need.learn(light, moment, self.tolerance)
         self._noticed = max(0, self._noticed - 1)
         self._read_at = moment
         if self._counted:

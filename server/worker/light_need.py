@@ -25,7 +25,7 @@ LONGEST_S = 0.5                 # between two readings; without a reading no new
 FIRST_READINGS = 8              # one after another before anything is known; shadows are then drawn finely
 GROWTH, FIRST_S = 1.5, 0.04     # of the interval from one reading to the next, and what it grows from
 MAX_READINGS, MAX_AGE_S = 12, 3.0   # that are remembered
-SURPRISE = 2.0                  # off the line by so much of what can be seen, and four times the noise: all begins anew
+SURPRISE = 2.0                  # off the line by so much of what is tolerated, and four times the noise: all begins anew
 AXES = np.concatenate([np.eye(3), -np.eye(3)])
 
 
@@ -53,14 +53,14 @@ class LightNeed:
     def reset(self) -> None:
         """What comes has nothing to do with what was, or may not have."""
         self._readings.clear()
-        self._in_a_row, self._rate, self._most_s = 0, 0.0, 0.0
+        self._in_a_row, self._most_s = 0, 0.0       # the rate is the best guess that there is
 
-    def learn(self, light: FrameLight, moment: float) -> None:
-        """Take over the light of a frame shown at `moment` seconds."""
+    def learn(self, light: FrameLight, moment: float, tolerance: float = 1.0) -> None:
+        """Take over the light of a frame shown at `moment` seconds. `tolerance`: of what the readings before did not predict."""
         reading = self._described(light, moment)
         if self._readings and (self._readings[-1].names != reading.names or self._readings[-1].moment >= moment):
             self.reset()
-        if self._is_surprise(reading):
+        if self._is_surprise(reading, SURPRISE * tolerance):
             before = self._readings[-1]
             self.reset()
             self._readings.append(before)
@@ -79,7 +79,8 @@ class LightNeed:
 
     def interval_s(self, tolerance: float = 1.0) -> float:
         """From the last reading to the next, for an error of at most `tolerance` times what can be seen."""
-        return min(tolerance / max(self._rate, 1e-9), self._most_s)
+        most_s = max(self._most_s, (tolerance - 1.0) * FIRST_S)     # where errors are tolerated, those of not knowing are too
+        return min(tolerance / max(self._rate, 1e-9), most_s, LONGEST_S)
 
     def _described(self, light: FrameLight, moment: float) -> _Reading:
         lights = light.detection.lights
@@ -95,17 +96,17 @@ class LightNeed:
         return _Reading(moment, tuple(item.id for item in lights), np.array([*faces.ravel(), *powers]), whole,
                         np.array(directions).ravel())
 
-    def _is_surprise(self, reading: _Reading) -> bool:
+    def _is_surprise(self, reading: _Reading, least: float) -> bool:
         """Whether it lies off the line through those before."""
         if len(self._readings) < 3:
             return False
         fit = _Line(self._readings)
         off = np.abs(fit.values(reading) - fit.at(reading.moment))
-        return bool((off > np.maximum(SURPRISE, 4.0 * fit.noise)).any())
+        return bool((off > np.maximum(least, 4.0 * fit.noise)).any())
 
     def _growth(self) -> float:
         if len(self._readings) < 3:
-            return 0.0
+            return self._rate
         fit = _Line(self._readings)
         return float(np.maximum(np.abs(fit.slope) - 2 * fit.error, 0.0).max())
 

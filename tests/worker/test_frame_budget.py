@@ -112,7 +112,7 @@ def test_a_slow_ramp_is_met_step_by_step_without_going_back_and_forth() -> None:
 
 def test_the_cheapest_error_for_the_time_goes_first() -> None:
     plant = Plant(SUNNY, lambda _: 1.6)
-    plant.go(2)
+    plant.go(4)
     first = plant.budget.report["last_decisions"][0]
     worth = {}
     for lever in LEVERS:
@@ -165,17 +165,19 @@ def test_an_undo_that_proves_wrong_is_tried_ever_more_rarely() -> None:
         assert undone[-1] - undone[-2] > undone[1] - undone[0]
 
 
-def test_one_stall_is_no_load() -> None:
-    plant = Plant(STILL, lambda moment: 40.0 if 10 <= moment < 10.02 else 1.0)
+@pytest.mark.parametrize("stall_s", [0.0, 10.0])
+def test_one_stall_is_no_load(stall_s: float) -> None:
+    """A model that is loaded, and what comes first."""
+    plant = Plant(STILL, lambda moment: 40.0 if stall_s <= moment < stall_s + 0.05 else 1.0)
     plant.go(20)
-    assert plant.lost > 0 or plant.debt_s == 0
+    assert plant.lost > 0
     assert plant.budget.report["level"] == 0
 
 
 def test_lost_frames_count_as_load_even_when_the_main_thread_has_time() -> None:
     """The encoder, say, has none."""
     budget = FrameBudget()
-    for frame in range(60):
+    for frame in range(120):
         budget.feed(frame / FPS, COSTS.render, frame // 3, SUNNY)
     assert budget.report["level"] > 0
     assert budget.report["load"] < HIGH
