@@ -21,8 +21,8 @@ from server.worker.accuracy import (
     predicted_error,
 )
 
-HIGH, LOW = 0.95, 0.85          # marks of the load
-TARGET = 0.85                   # that reductions are taken for, all at once
+HIGH, LOW = 0.9, 0.8            # marks of the load
+TARGET = 0.8                    # that reductions are taken for, all at once
 HOPELESS = 1.8                  # of load, with all else given up: every second frame would be lost anyway, and less evenly
 JUDGED_FRAMES, ROOM_FRAMES = 15, 30     # since the last decision, before anything is given up or taken back
 FIRST_FRAMES = 60                       # that say nothing: models are loaded, all is new
@@ -96,9 +96,10 @@ class FrameBudget:
         self._room_since = None
 
     def _load(self, frames: int) -> float:
-        """The ninth decile of the last frames since the last decision."""
+        """The mean of so many frames, without the slowest tenth: one frame may wait, and a stall is no load."""
         newest = sorted(list(self._loads)[-frames:])
-        return newest[int(0.9 * (len(newest) - 1))]
+        usual = newest[:len(newest) - len(newest) // 10]
+        return sum(usual) / len(usual)
 
     def _is_hopeless(self) -> bool:
         return len(self._loads) == ROOM_FRAMES and sorted(self._loads)[ROOM_FRAMES // 2] > HOPELESS
