@@ -28,7 +28,7 @@ JUDGED_FRAMES, ROOM_FRAMES = 15, 30     # since the last decision, before anythi
 FIRST_FRAMES = 60                       # that say nothing: models are loaded, all is new
 LOST_FRAMES, LOST_WITHIN_S = 3, 5.0     # moments at which frames were lost that count as lack of time: one stall is no load
 MIN_SAVING = 0.01               # of the time between two frames
-HOLD_S, MOST_HOLD_S = 2.0, 64.0
+HOLD_S, MOST_HOLD_S = 2.0, 32.0
 SMOOTHING = 0.1                 # of the time that a frame takes, where parts are compared with the whole
 WRONG_S = 10.0                  # after undoing: giving up again within this time proves it wrong
 REMEMBERED = 10                 # decisions
@@ -159,7 +159,7 @@ class FrameBudget:
         effort = last.set(self.effort, self._taken.count(last) - 1)
         now_s = predicted_cost_s(self.effort, situation) / self.effort.frame_step
         then = load * predicted_cost_s(effort, situation) / effort.frame_step / max(now_s, 1e-9)
-        if then > LOW or (self._lost_at and moment - self._lost_at[-1] < LOST_WITHIN_S):
+        if then > LOW:
             self._room_since = None
             return
         self._room_since = moment if self._room_since is None else self._room_since

@@ -35,7 +35,7 @@ ALLOWED_S = 2.0         # after the theft has begun and ended
 HOLDS = 0.95            # of the camera's rate: this machine keeps up with it
 SAME_RATE = 0.93        # of the rate before
 FELT_S, MOST_FELT_S = 4.0, 6.0
-ROOM_LEFT = 3           # reductions at rest: there is something left to give up
+ROOM_LEFT = 4           # steps down at rest: there is something left to give up
 MANY_DECISIONS, MANY_TURNS = 40, 8
 THIEF = "while True: pass"
 
