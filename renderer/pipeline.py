@@ -30,6 +30,7 @@ from renderer.objects.shading import ShadingStage, may_mirror
 from renderer.objects.specular_floor import FloorBlurStage, SpecularFloor, lobe_spread
 from renderer.objects.surfaces import SurfaceStage
 from renderer.panorama import PanoramaTextures
+from renderer.quality import Quality
 from renderer.scene import Lighting, Scene
 from renderer.scene_light import LitScene, SceneLightStage
 from renderer.timings import Timings
@@ -88,6 +89,15 @@ class Pipeline:
         uploaded = GpuMesh(self._context, self._surfaces.programs, mesh)
         self._openness.bake(uploaded)
         return uploaded
+
+    @property
+    def quality(self) -> Quality:
+        """How accurate live frames are; may be set between two of them."""
+        return self._scene_light.quality
+
+    @quality.setter
+    def quality(self, quality: Quality) -> None:
+        self._scene_light.quality = quality
 
     @property
     def placement(self) -> Placement | None:
@@ -154,6 +164,11 @@ class Pipeline:
                 self._scene_light.draw_ahead(lit, _still_views(placement))
                 self._context.gl.finish()
         return timings
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether objects are still shown in an older light than was prepared last; to `prepare` it again shades more of them."""
+        return self._shading.is_behind
 
     def compile_variants(self) -> None:
         """Have the driver compile every program that usual scenes need, now. After a frame with a light and an object."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import ceil
 
 import moderngl
 import numpy as np
@@ -23,6 +24,7 @@ from renderer.objects.shading import MIRROR_BELOW, Illumination, ShadingStage, i
 from renderer.objects.surface_table import coat_roughness
 from renderer.objects.surfaces import SurfaceStage
 from renderer.objects.surroundings import Surroundings
+from renderer.quality import FULL, Quality
 from renderer.scene import Lighting, Scene
 from renderer.shadows.ambient_shadows import AmbientShadowStage
 from renderer.shadows.catchers import CatcherLayer, CatcherLight, CatcherStage
@@ -37,7 +39,6 @@ from renderer.timings import Timings
 Array = NDArray[np.float64]
 UP = np.array([0.0, 1.0, 0.0])
 SETTLED_READINGS = 16      # of the same light: shadows are drawn finely and near fields fitted to it, one after another
-MIN_GROUND_SHARE = 0.02    # of the ground's irradiance; weaker lights cast no visible shadow
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,15 @@ class SceneLightStage:
         self._illuminations = 0
         self._lobes: dict[float, Lobe] = {}
         self._lobes_without: tuple[int, ...] = ()       # lights (ids)
+        self._quality = FULL
+
+    @property
+    def quality(self) -> Quality:
+        return self._quality
+
+    @quality.setter
+    def quality(self, quality: Quality) -> None:
+        self._quality = self._shading.quality = self._light_shadows.quality = quality
 
     def begin_frame(self, *, patient: bool) -> None:
         """`patient`: what only the light has changed may be lit anew in one of the next frames."""
@@ -152,11 +162,12 @@ class SceneLightStage:
                             self._illuminations)
 
     def _prefiltered(self, light: FrameLight, wanted: set[float]) -> dict[float, Lobe]:
-        """Maps prefiltered for these roughness values; where they may wait and all lights are still there, half of them from this
+        """Maps prefiltered for these roughness values; where they may wait and all lights are still there, some of them from this
         frame, in turn."""
         lights = tuple(one.id for one in light.detection.lights)
         kept = {value: lobe for value, lobe in self._lobes.items() if value in wanted and lights == self._lobes_without}
-        old = list(kept)[:-(-len(kept) // 2)] if self._shading.is_patient else list(kept)     # the first are the oldest
+        due = ceil(self._quality.lobe_share * len(kept)) if self._shading.is_patient else len(kept)
+        old = list(kept)[:due]      # the first are the oldest
         new = prefilter_all(light.soft, (wanted - kept.keys()) | set(old))
         self._lobes, self._lobes_without = {**{value: kept[value] for value in kept if value not in new}, **new}, lights
         return self._lobes
@@ -199,7 +210,7 @@ class SceneLightStage:
         placed = placement.objects
         filtered = scene.lighting.method("shadows") == "pcf"
         casters = {item.id: placed[item.id] for item in scene.objects if item.id in placed and item.casts_shadow}
-        gate = MIN_GROUND_SHARE * float(ground.total @ WEIGHTS)
+        gate = self._quality.min_ground_share * float(ground.total @ WEIGHTS)
         things = () if filtered else self._real((*placement.catchers, *placement.occluders))
         real = RealThings([(item.placed, item.body.solid) for item in things])
         self._light_shadows.begin(set(casters), {item.id for item in _rendered(light)}, real)

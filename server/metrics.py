@@ -18,6 +18,8 @@ FRAME_COUNTERS = {
     "frames_encoded": "Frames encoded",
     "frames_dropped": "Frames dropped before the encoder",
 }
+# The worker's words for them, and ours.
+QUALITY_GAUGES = {"load": "load", "level": "quality_level", "predicted_error": "quality_predicted_error"}
 
 
 class Metrics:
@@ -37,21 +39,28 @@ class Metrics:
             ("worker_restarts", "Times the worker was replaced"),
             ("packets_delivered", "Encoded frames handed to WebRTC, all viewers"),
             ("dropped_after_encoder", "Encoded frames that slow viewers lost"),
+            ("load", "Time that a frame takes at its effort, light included, by the time between two frames"),
+            ("quality_level", "Reductions of accuracy in force, for lack of time"),
+            ("quality_predicted_error", "Relative error that they are predicted to make"),
         )}
+        self.decisions = Counter("mr360_quality_decisions", "Accuracy given up or taken back", ["stream"],
+                                 registry=self.registry)
 
     def exposition(self, streams: Iterable[Stream]) -> bytes:
         """The text that Prometheus scrapes."""
         for stream in streams:
             values = {"viewers": len(stream.fanout), "worker_ready": int(stream.ready),
                       "worker_restarts": stream.restarts, "packets_delivered": stream.fanout.delivered,
-                      "dropped_after_encoder": stream.fanout.dropped}
+                      "dropped_after_encoder": stream.fanout.dropped,
+                      **{QUALITY_GAUGES[key]: value for key, value in stream.worker_stats.get("quality", {}).items()
+                         if key in QUALITY_GAUGES}}
             for name, value in values.items():
                 self._gauges[name].labels(stream.name).set(value)
         return generate_latest(self.registry)
 
     def forget(self, stream: str) -> None:
         """Remove the series of a stream that is deleted."""
-        for metric in (*self.frames.values(), self.render_seconds, self.latency_seconds, *self._gauges.values()):
+        for metric in (*self.frames.values(), self.decisions, self.render_seconds, self.latency_seconds, *self._gauges.values()):
             metric.remove_by_labels({"stream": stream})
 
 
@@ -62,14 +71,15 @@ class StreamMetrics:
         self.render_seconds = metrics.render_seconds.labels(stream)
         self.latency_seconds = metrics.latency_seconds.labels(stream)
         self._frames = {name: metrics.frames[name].labels(stream) for name in FRAME_COUNTERS}
-        self._counted = dict.fromkeys(FRAME_COUNTERS, 0)
+        self._decisions = metrics.decisions.labels(stream)
+        self._counted = dict.fromkeys((*FRAME_COUNTERS, "decisions"), 0)
 
     def worker_stats(self, stats: dict[str, Any]) -> None:
         """Add what has happened since the worker's last message; a worker counts from its own start."""
-        for name in FRAME_COUNTERS:
-            count = int(stats[name])
-            self._frames[name].inc(max(0, count - self._counted[name]))
-            self._counted[name] = count
+        counts = {name: int(stats[name]) for name in FRAME_COUNTERS} | {"decisions": int(stats["quality"]["decisions"])}
+        for name, counter in (*self._frames.items(), ("decisions", self._decisions)):
+            counter.inc(max(0, counts[name] - self._counted[name]))
+        self._counted = counts
 
     def worker_ended(self) -> None:
-        self._counted = dict.fromkeys(FRAME_COUNTERS, 0)
+        self._counted = dict.fromkeys(self._counted, 0)

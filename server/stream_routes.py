@@ -89,7 +89,13 @@ async def snapshot(stream: StreamDep) -> Response:
 
 @router.get("/{stream}/stats")
 async def stats(stream: StreamDep) -> dict[str, Any]:
-    """Stage times and counters of the worker, and what became of its packets."""
+    """Stage times and counters of the worker, and what became of its packets.
+
+    `quality` says what accuracy the worker has given up to keep the frame rate: `level`, the number of steps down in force, by
+    `reductions`, each with its value in `settings`; `predicted_error`, relative to the radiance of what is drawn (0: nothing given
+    up); `load`, the time that a frame takes, light included, by the time that there is; `decisions` so far, and the last ones with
+    their reasons. `light_interval` is the mean number of frames to a reading of the light.
+    """
     return stream.stats()
 
 

@@ -53,12 +53,14 @@ class Light:
 @dataclass(frozen=True)
 class Detection:
     """Lights, strongest first; `residual`, the (height, width, 3) map without them; `soft`, the map without those that are
-    not wide, which is what lights surfaces besides; `threshold`, a luminance."""
+    not wide, which is what lights surfaces besides; `threshold`, a luminance; `is_settled`, whether no light is being born or
+    fades, so that the next frame, were it the same, would have the same lights."""
 
     lights: tuple[Light, ...]
     residual: Floats
     soft: Floats
     threshold: float
+    is_settled: bool = True
 
 
 @dataclass(frozen=True)

@@ -44,6 +44,10 @@ class _Track:
     presence: float = 0.0       # 0: all of it is in the residual, 1: none
     dying: bool = False
 
+    @property
+    def is_settled(self) -> bool:
+        return self.presence == 1.0 and not self.dying
+
 
 class LightTracker:
     """Feed it every frame's candidates. `reset` at a cut."""
@@ -157,8 +161,9 @@ class LightTracker:
     def _detection(self, found: Found) -> Detection:
         kept = sorted((track for track in self._tracks if track.presence > 0.0),
                       key=lambda track: -float(track.presence * track.light.irradiance @ WEIGHTS))[:MAX_LIGHTS]
-        return found.detection([(replace(track.light, irradiance=track.presence * track.light.irradiance), track.source,
-                                 track.presence) for track in kept])
+        detection = found.detection([(replace(track.light, irradiance=track.presence * track.light.irradiance), track.source,
+                                      track.presence) for track in kept])
+        return replace(detection, is_settled=all(track.is_settled for track in self._tracks))
 
 
 class LightNames:

@@ -21,10 +21,11 @@ from renderer.objects.lobe_atlas import LobeAtlas
 from renderer.objects.mirrors import MirrorStage
 from renderer.objects.near_field import Fit
 from renderer.objects.placement import View
-from renderer.objects.shading_turns import MIN_PIXELS, SHARE, LitBy, Turns
+from renderer.objects.shading_turns import MIN_PIXELS, LitBy, Turns
 from renderer.objects.surface_table import TABLE_WIDTH, reflected_solids, surface_rows
 from renderer.objects.surfaces import FIRST_UNIT, MAX_SURFACES, SurfaceStage, ViewTarget
 from renderer.panorama import PanoramaTextures
+from renderer.quality import FULL
 from renderer.shadows.ground_ratio import GroundRatioStage
 from renderer.shadows.light_visibility import LightVisibilityStage, Receiver
 
@@ -137,6 +138,7 @@ class ShadingStage:
         self._illumination: Illumination | None = None
         self.mirrors_apart = False  # whether what they show of the frame is left out of their pictures
         self.is_patient = False     # whether objects may wait a few frames for a light that has changed
+        self.quality = FULL
         self._set_for: dict[Shading, View] = {}     # whose uniforms each program has
         self._slots = LIGHT_SLOTS[0]
 
@@ -208,10 +210,15 @@ class ShadingStage:
                     shaded.apart[index] = shaded.numbers[index]
         return target, max(shaded.numbers.values(), default=0)
 
+    @property
+    def is_behind(self) -> bool:
+        """Whether objects wait for their turn to be shaded by the newest light."""
+        return any(shaded.turns.is_behind for shaded in self._shaded.values())
+
     def draw_still(self, views: list[View], objects: list[PlacedMesh]) -> None:
         """Draw and shade, ahead of the next frame, what does not depend on it, or some of it; mirrors keep what they show."""
         prepared = sorted(((view, *self._prepared(view, objects)) for view in views), key=lambda one: -one[2].turns.waited)
-        pixels = max(SHARE * sum(sum(shaded.costs().values()) for _, _, shaded in prepared), MIN_PIXELS)
+        pixels = max(self.quality.shading_share * sum(sum(shaded.costs().values()) for _, _, shaded in prepared), MIN_PIXELS)
         for view, target, shaded in prepared:
             visibility, lit_by = self._lit_by(view, target)
             due = shaded.turns.ahead(shaded.costs(), lit_by, pixels if self.is_patient else np.inf)

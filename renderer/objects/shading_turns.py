@@ -6,8 +6,7 @@ nothing to do with the last one, never waits.
 
 from __future__ import annotations
 
-SHARE = 0.4                # of all pixels that objects cover, to be shaded ahead of one frame
-MIN_PIXELS = 12_000        # that are shaded all the same
+MIN_PIXELS = 12_000        # that are shaded ahead of one frame, however small the share that `quality.py` names
 
 LitBy = tuple[int, int]     # numbers of the illumination and of the lights' visibility
 
@@ -19,18 +18,22 @@ class Turns:
         self._lit_by: dict[int, LitBy] = {}     # in the order of their turns
         self._had_turn = False                  # ahead of the frame that comes
         self.waited = 0                         # turns without any
+        self.is_behind = False                  # some have not been shaded by the newest light
 
     def ahead(self, members: dict[int, int], lit_by: LitBy, pixels: float) -> list[int]:
         """Those to shade ahead of a frame, which then has had its turn; they count as shaded. `members`: pixels of each object;
-        those that are new are shaded whatever they cost, then those that have waited longest, as many `pixels` as there are."""
+        those that are new are shaded whatever they cost, then those that have waited longest, as many `pixels` as there are.
+        What is left of turns without any is saved up, so that an object larger than that has its turn too."""
         new, stale = self._due(members, lit_by)
         affordable: list[int] = []
+        pixels = max(pixels, 0.0) * (1 + self.waited)
         for index in stale:
             pixels -= members[index]
             if pixels < 0:
                 break
             affordable.append(index)
         self.waited = self.waited + 1 if stale and not affordable else 0
+        self.is_behind = len(affordable) < len(stale)
         self._had_turn = True
         return self._marked([*new, *affordable], lit_by)
 
@@ -39,6 +42,7 @@ class Turns:
         new, stale = self._due(members, lit_by)
         waits = patient and self._had_turn
         self._had_turn = False
+        self.is_behind = waits and bool(stale)
         return self._marked(new if waits else [*new, *stale], lit_by)
 
     def _due(self, members: dict[int, int], lit_by: LitBy) -> tuple[list[int], list[int]]:

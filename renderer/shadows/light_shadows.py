@@ -20,13 +20,14 @@ from renderer.light.discs import STALE_SHARE, disc_directions, hardly_moved
 from renderer.models.gpu_mesh import PlacedMesh
 from renderer.objects.placement import TileMask, touched_tiles
 from renderer.objects.surfaces import SurfaceStage
+from renderer.quality import FULL
 from renderer.shadows.shadow_atlas import GRID, Blocks, Place, Rect, ShadowMap, outline, sharing, union
 from renderer.shadows.shadow_casters import CasterMesh, RealThings, proxy
 from renderer.shadows.shadow_mapping import ShadowMapping, filter_reach
 
 Array = NDArray[np.float64]
 CELL = 256                 # texels a side of one object's shadow map, at most; of more objects by the root of their number
-MAX_SAMPLES = 32           # of a light's disc
+MIN_SAMPLES, MAX_SAMPLES = 6, 32    # of a light's disc
 MAX_MOVING_SAMPLES = 10    # the same, and texels a side, of a shadow that has just moved
 MOVING_TEXELS = 128
 SETTLED_FRAMES = 8         # that a shadow holds before it is drawn finely again
@@ -49,6 +50,7 @@ class _Kept:
     light: Light
     shadow: ShadowMap
     is_fine: bool
+    detail: float
     frames: int = 0     # that it has held
 
 
@@ -69,6 +71,7 @@ class LightShadowStage:
         self._kept: dict[tuple[int, tuple[str, ...]], _Kept] = {}
         self._real = RealThings()
         self._redrawn = 0
+        self.quality = FULL
 
     def begin(self, keys: set[str], lights: set[int], real: RealThings) -> None:
         """Begin a frame. Forget all objects and lights but those of `keys` and `lights` (ids)."""
@@ -104,7 +107,8 @@ class LightShadowStage:
         if kept is not None and kept.state == state:
             if hardly_moved(kept.light, light, STALE_SHARE if self._redrawn == 0 else 1.0):
                 kept.frames += 1
-                if kept.is_fine or kept.frames < SETTLED_FRAMES or self._redrawn > 0:
+                is_best = kept.is_fine and kept.detail >= self.quality.shadow_detail
+                if is_best or kept.frames < SETTLED_FRAMES or self._redrawn > 0:
                     return kept.shadow
             self._redrawn += 1
         is_fine = is_new if kept is None else kept.state == state and kept.frames >= SETTLED_FRAMES
@@ -116,7 +120,7 @@ class LightShadowStage:
         masks = [mask for key, placed in members.items()
                  if (mask := self._tiles_of(key, placed, light, ground_y, filtered)) is not None]
         shadow = ShadowMap(cell, rect, np.logical_or.reduce(masks))
-        self._kept[name] = _Kept(place, state, light, shadow, is_fine or filtered)
+        self._kept[name] = _Kept(place, state, light, shadow, is_fine or filtered, self.quality.shadow_detail)
         return shadow
 
     def _drop(self, names: Iterable[tuple[int, tuple[str, ...]]]) -> None:
@@ -140,14 +144,16 @@ class LightShadowStage:
         if not rects:
             return None
         rect = union(rects)
-        reserved = self._reserve(rect, ground_y, int(np.sqrt(len(members)) * (CELL if is_fine else MOVING_TEXELS)))
+        detail = self.quality.shadow_detail
+        reserved = self._reserve(rect, ground_y, int(detail * np.sqrt(len(members)) * (CELL if is_fine else MOVING_TEXELS)))
         if reserved is None:
             return None
         place, texels = reserved
         texel = max(rect[2] - rect[0], rect[3] - rect[1]) / texels
         height = max(float(item.outline()[:, 1].max()) for item in members) - ground_y
         penumbra = 2 * light.angular_radius * height / max(float(light.direction[1]), 0.05)**2
-        wanted = int(np.clip(2 * penumbra / texel, 6, MAX_SAMPLES if is_fine else MAX_MOVING_SAMPLES))
+        most = max(MIN_SAMPLES, detail * (MAX_SAMPLES if is_fine else MAX_MOVING_SAMPLES))
+        wanted = int(np.clip(2 * penumbra / texel, MIN_SAMPLES, most))
         count = 1 if penumbra < 2 * texel else wanted
         samples = disc_directions(light.direction, light.angular_radius, count) if count > 1 else light.direction[None]
         samples = samples[samples[:, 1] > MIN_ELEVATION]

@@ -19,9 +19,10 @@ from renderer.light.reading import FrameLight
 from renderer.pipeline import Pipeline
 from renderer.scene import Scene
 from server.worker.encode import Composited, EncodeThread
+from server.worker.frame_budget import FrameBudget
 from server.worker.ingest import Ingest
+from server.worker.light_follower import LightFollower
 from server.worker.light_message import light_message
-from server.worker.light_schedule import PREPARE, READ, LightSchedule
 from server.worker.messages import Message
 from server.worker.newest import Newest
 from server.worker.output_clock import OutputClock
@@ -35,7 +36,6 @@ STEP_ALLOWANCE_S = 1.5    # the main thread counts as alive for this long after 
 SCENE_ALLOWANCE_S = 6.0   # for this long after a new scene, whose models it may have to load,
 OPEN_ALLOWANCE_S = 25.0   # and for this long while the driver compiles the shaders of a new geometry or other methods
 BURST_S = 0.04            # of two frames that come within this time, both are rendered
-BOTH_STEPS_SLACK = 0.4   # of the time between two frames must be left to take both steps towards the next light in one
 REPEAT_AFTER_S = 0.4      # without a new frame, the last one is rendered again so that edits of the scene are seen
 REPEAT_INTERVAL_S = 0.1
 Send = Callable[[Message, bytes], None]
@@ -60,12 +60,12 @@ class RenderLoop:
         self._encode.set_bitrate(start.get("bitrate_bps"))
         self._clock = OutputClock(int(start.get("timestamp", 0)))
         self._statistics = RollingStatistics()
-        self._schedule = LightSchedule()
-        self._light: FrameLight | None = None       # that frames are lit by
-        self._next_light: FrameLight | None = None  # read, but not prepared yet
+        self._budget = FrameBudget()
+        self._skipped = 0                           # frames that the budget gave up
         self._ingest: Ingest | None = None
         self._frames_in_before = 0
         self._pipeline: Pipeline | None = None
+        self._follower: LightFollower | None = None
         self._reader: PictureReader | None = None
         self._pool: FramePool | None = None
         self._last: tuple[YuvFrame, Decoded] | None = None
@@ -118,6 +118,8 @@ class RenderLoop:
             before = self._scene.lighting
             self._scene, self._revision = Scene.model_validate(message["scene"]), int(message["revision"])
             self._allow(SCENE_ALLOWANCE_S if self._scene.lighting == before else OPEN_ALLOWANCE_S)
+            if self._follower is not None:
+                self._follower.disturb()
         elif kind == "source":
             self._set_source(message["source"])
         elif kind == "demand":
@@ -176,6 +178,9 @@ class RenderLoop:
         geometry = {"width": frame.width, "height": frame.height, "pix_fmt": frame.format.name}
         self._report_state(flags=flags, input={**(self._state["input"] or {}), **geometry})
         self._frame_number += 1
+        if self._viewers and self._frame_number % self._budget.effort.frame_step:
+            self._skipped += 1
+            return
         started = time.perf_counter()
         try:
             picture = self._reader.read(frame)
@@ -205,20 +210,22 @@ class RenderLoop:
         self._reader, self._pool = PictureReader(size), FramePool(size)
         self._pipeline = Pipeline(self._context, YuvFrame, size, assets=self._assets)
         warm_up(self._pipeline, size)
+        self._follower = LightFollower(self._pipeline, size[0])
         self._report_state(output={"width": size[0], "height": size[1], "bitrate_bps": self._encode.bitrate(size)})
         return True
 
     def _render(self, picture: YuvFrame, decoded: Decoded, started: float, timestamp: int) -> None:
         assert self._pipeline is not None
-        if self._schedule.is_cut(picture):
-            self._pipeline.reset()
-            self._light = self._next_light = None
+        assert self._follower is not None
+        self._follower.look(picture)
         if self._viewers:
             self._composite(picture, decoded, started, timestamp)
         else:
-            self._light, timings = self._pipeline.analyse(picture, decoded.decoded_at, self._scene.lighting)
+            self._budget.rest()
+            light, timings = self._pipeline.analyse(picture, decoded.decoded_at, self._scene.lighting)
             self._statistics.add((time.perf_counter() - started) * 1e3, timings.stages)
-            self._send_lights(self._light, decoded, timestamp)
+            self._follower.take(light, decoded.decoded_at)
+            self._send_lights(light, decoded, timestamp)
         self._rendered += 1
         self._rendered_revision = self._revision
         self._last_render = time.monotonic()
@@ -227,38 +234,36 @@ class RenderLoop:
         """Composite the picture and hand it to the encoder; then read its light, for the next one."""
         assert self._pipeline is not None
         assert self._pool is not None
+        assert self._follower is not None
         output, video = self._pool.take(picture.format)
-        is_read = self._light is None
-        rendered = self._pipeline.render(picture, self._scene, light=self._light, moment=decoded.decoded_at, output=output)
+        light = self._follower.light
+        rendered = self._pipeline.render(picture, self._scene, light=light, moment=decoded.decoded_at, output=output)
         render_ms = (time.perf_counter() - started) * 1e3
         stages, self._errors = rendered.timings.stages, rendered.errors
         self._encode.pictures.put(Composited(output, video, self._frame_number, timestamp, decoded.decoded_at, render_ms, stages))
-        self._newest_composite, self._light = output, rendered.light
+        self._newest_composite = output
         self._statistics.touched_fraction = rendered.touched_fraction
-        if is_read:
-            self._send_lights(rendered.light, decoded, timestamp)
+        found: FrameLight | None = rendered.light
+        if light is None:
+            self._follower.take(rendered.light, decoded.decoded_at)
         else:
-            stages = stages | self._follow_light(decoded, timestamp)
+            interval_s = self._budget.effort.frame_step / self._encode.fps
+            found, more = self._follower.follow(decoded.decoded_at, interval_s, self._scene.lighting,
+                                                every_frame=self._light_clients > 0)
+            stages = stages | more
+        if found is not None:
+            self._send_lights(found, decoded, timestamp)
         self._statistics.add(render_ms, stages)
+        self._balance(decoded.decoded_at, render_ms / 1e3)
 
-    def _follow_light(self, decoded: Decoded, timestamp: int) -> dict[str, float]:
-        """Read the light of the frame that has just been rendered, as far as there is time. Returns the stages' times."""
+    def _balance(self, moment: float, render_s: float) -> None:
+        """Give accuracy up, or take it back, by how long the frame took."""
         assert self._pipeline is not None
-        stages: dict[str, float] = {}
-        interval_s = 1 / self._encode.fps
-        due_at = decoded.decoded_at + interval_s
-        if self._next_light is None and self._schedule.has_time(READ, due_at):
-            self._next_light, timings = self._pipeline.read_light(decoded.decoded_at, self._scene.lighting)
-            self._schedule.took(READ, timings.total / 1e3)
-            self._send_lights(self._next_light, decoded, timestamp)
-            stages |= timings.stages
-            due_at -= BOTH_STEPS_SLACK * interval_s
-        if self._next_light is not None and self._schedule.has_time(PREPARE, due_at):
-            timings = self._pipeline.prepare(self._next_light)
-            self._schedule.took(PREPARE, timings.total / 1e3)
-            self._light, self._next_light = self._next_light, None
-            stages |= timings.stages
-        return stages
+        assert self._follower is not None
+        lost = self.frames.dropped + self._encode.pictures.dropped
+        if self._budget.feed(moment, render_s, lost, self._follower.situation(1 / self._encode.fps)):
+            self._pipeline.quality = self._budget.effort.quality
+            self._follower.tolerance = self._budget.effort.light_tolerance
 
     def _send_lights(self, light: FrameLight, decoded: Decoded, timestamp: int) -> None:
         message = light_message(light, stream=self._stream, frame=self._frame_number, pts=decoded.pts,
@@ -303,12 +308,12 @@ class RenderLoop:
         self._send({
             "type": "stats", "frames_in": self._frames_in_before + (self._ingest.frames_in if self._ingest else 0),
             "frames_rendered": self._rendered, "frames_encoded": self._encode.frames_encoded,
-            "frames_dropped": self.frames.dropped + self._encode.pictures.dropped, "fps": self._statistics.fps(),
+            "frames_dropped": self.frames.dropped + self._encode.pictures.dropped + self._skipped, "fps": self._statistics.fps(),
             "render_ms": self._statistics.render_ms(), "stages_ms": self._statistics.stages_ms(),
             "touched_fraction": round(self._statistics.touched_fraction, 5),
             "cpu_seconds": round(usage.ru_utime + usage.ru_stime, 3), "scene_revision": self._rendered_revision,
-            "light_interval": round(self._schedule.mean_interval, 2),
-            "scene_errors": self._errors, "discontinuities": self._clock.discontinuities}, b"")
+            "light_interval": round(self._follower.mean_interval, 2) if self._follower else 1.0,
+            "quality": self._budget.report, "scene_errors": self._errors, "discontinuities": self._clock.discontinuities}, b"")
 
     def close(self) -> None:
         """Stop all, join all, release all."""

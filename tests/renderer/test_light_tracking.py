@@ -171,3 +171,16 @@ def test_lights_without_a_memory_are_named_after_the_nearest_one_before() -> Non
     assert named(95, 180, 5) == [2, 3, 1]
     assert named() == []
     assert named(5) == [4]
+
+
+def test_a_light_fades_by_the_clock_and_its_birth_is_told_of_whatever_the_interval() -> None:
+    """Births take three readings, so whoever reads less often has to know of one to read on."""
+    tracker = LightTracker()
+    maps = {lamps: find_candidates(radiance_map(np.full((HEIGHT, WIDTH), 0.3) + sum(
+        disc(azimuth, 40, 3.0, 200.0, sky=0.0).rgb[..., 0] for azimuth in lamps))) for lamps in ((), (120,))}
+    assert tracker.update(maps[()], 0.0).is_settled
+    found = [tracker.update(maps[120,], moment) for moment in (0.5, 0.6, 0.61, 0.7, 0.9, 1.4)]
+    assert [len(one.lights) for one in found] == [0, 0, 1, 1, 1, 1]
+    assert [one.is_settled for one in found] == [False] * 4 + [True, True]
+    shares = [one.lights[0].irradiance[0] / found[-1].lights[0].irradiance[0] for one in found[2:]]
+    assert shares == pytest.approx([0.04, 0.4, 1.0, 1.0], abs=0.01), "of a quarter of a second"

@@ -22,14 +22,25 @@ def test_those_that_waited_longest_come_first() -> None:
     assert all(set(served[i] + served[i + 1] + served[i + 2]) == {0, 1, 2} for i in range(4))
 
 
-def test_an_object_that_nothing_pays_for_says_so() -> None:
+def test_an_object_larger_than_there_are_pixels_saves_them_up() -> None:
+    turns, alone = Turns(), {0: 30_000}
+    turns.ahead(alone, (1, 0), 0)
+    served = [turns.ahead(alone, (number, 0), 12_000) for number in range(2, 8)]
+    assert served == [[], [], [0], [], [], [0]]
+    assert turns.ahead(alone, (9, 0), 12_000) == []
+    assert turns.waited == 1, "views whose objects have waited are served first"
+
+
+def test_turns_tell_whether_any_object_is_behind() -> None:
     turns = Turns()
     turns.ahead(MEMBERS, (1, 0), 0)
-    for waited in (1, 2, 3):
-        assert turns.ahead(MEMBERS, (2, 0), 900) == []
-        assert turns.waited == waited
-    assert turns.ahead(MEMBERS, (2, 0), 5000) == [0, 1, 2]
-    assert turns.waited == 0
+    assert not turns.is_behind
+    turns.ahead(MEMBERS, (2, 0), 1000)
+    assert turns.is_behind
+    turns.now(MEMBERS, (2, 0), patient=True)
+    assert turns.is_behind
+    turns.ahead(MEMBERS, (2, 0), 5000)
+    assert not turns.is_behind
 
 
 def test_a_frame_waits_only_for_what_had_a_turn_ahead_of_it() -> None:

@@ -94,7 +94,8 @@ def test_stats(client: httpx.Client) -> None:
     wait_for(lambda: client.get(f"{STREAMS}/live/stats").json().get("frames_rendered"), "a frame is counted")
     stats = client.get(f"{STREAMS}/live/stats").json()
     assert {"frames_in", "frames_encoded", "frames_dropped", "render_ms", "stages_ms", "viewers", "packets_delivered",
-            "dropped_after_encoder", "latency_ms", "scene_revision"} <= set(stats)
+            "dropped_after_encoder", "latency_ms", "scene_revision", "light_interval"} <= set(stats)
+    assert {"level", "reductions", "settings", "predicted_error", "load", "decisions", "last_decisions"} <= set(stats["quality"])
     assert stats["dropped_after_encoder"] == 0
 
 
@@ -127,7 +128,10 @@ def test_metrics(client: httpx.Client) -> None:
     families = {family.name: family for family in text_string_to_metric_families(client.get("/metrics").text)}
     assert {"mr360_frames_in", "mr360_frames_rendered", "mr360_frames_encoded", "mr360_frames_dropped",
             "mr360_render_seconds", "mr360_latency_seconds", "mr360_viewers", "mr360_worker_restarts",
-            "mr360_worker_ready", "mr360_packets_delivered", "mr360_dropped_after_encoder"} <= set(families)
+            "mr360_worker_ready", "mr360_packets_delivered", "mr360_dropped_after_encoder", "mr360_load", "mr360_quality_level",
+            "mr360_quality_predicted_error", "mr360_quality_decisions"} <= set(families)
+    level, = (sample.value for sample in families["mr360_quality_level"].samples if sample.labels["stream"] == "live")
+    assert level == client.get(f"{STREAMS}/live/stats").json()["quality"]["level"]
     frames = {sample.labels["stream"]: sample.value for sample in families["mr360_frames_in"].samples
               if sample.name == "mr360_frames_in_total"}
     assert frames["live"] > 0

@@ -3,12 +3,10 @@ from __future__ import annotations
 import threading
 import time
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from renderer.frame import YuvFrame
 from server.worker.light_schedule import PREPARE, READ, LightSchedule
 from server.worker.newest import Newest
 from server.worker.output_clock import CLOCK_RATE, MIN_STEP, OutputClock
@@ -55,45 +53,29 @@ def test_the_output_clock_never_goes_back(steps: list[tuple[float | None, float]
         last = ticks
 
 
-def grey_picture(luma: int) -> YuvFrame:
-    return YuvFrame(np.full((128, 256), luma, np.uint8), *(np.full((64, 128), 128, np.uint8),) * 2)
-
-
-def test_light_is_read_after_every_frame_while_there_is_time() -> None:
-    now = [0.0]
+def test_a_step_is_taken_when_it_ends_before_the_next_frame() -> None:
+    now = [10.010]
     schedule = LightSchedule(clock=lambda: now[0])
-    assert schedule.is_cut(grey_picture(90)), "there is no light yet"
-    for luma in (90, 91, 92, 90):
-        assert not schedule.is_cut(grey_picture(luma))
-        now[0] = 10.010
-        for step in (READ, PREPARE):
-            assert schedule.has_time(step, due_at=10.033)
-            schedule.took(step, 0.010)
-            now[0] += 0.010
-    assert schedule.mean_interval == 1
-
-
-def test_after_a_cut_the_light_is_read_first() -> None:
-    schedule = LightSchedule()
-    schedule.is_cut(grey_picture(90))
-    assert schedule.is_cut(grey_picture(120))
-    assert not schedule.is_cut(grey_picture(121))
+    for step, seconds in ((READ, 0.010), (PREPARE, 0.012)):
+        assert schedule.has_time(step, due_at=10.033), "what it takes is not known yet"
+        schedule.took(step, seconds)
+    assert schedule.has_time(READ, due_at=10.033)
+    now[0] = 10.022
+    assert not schedule.has_time(PREPARE, due_at=10.033)
+    assert schedule.has_time(READ, due_at=10.033)
 
 
 def test_without_time_a_step_is_taken_every_third_frame() -> None:
     now = [10.020]
     schedule = LightSchedule(clock=lambda: now[0])
-    schedule.is_cut(grey_picture(90))
     schedule.took(READ, 0.020)
     taken = []
     for _ in range(9):
-        schedule.is_cut(grey_picture(90))
         taken.append(schedule.has_time(READ, due_at=10.033))
         if taken[-1]:
             schedule.took(READ, 0.020)
     assert taken == [False, False, True] * 3
     now[0] = 10.010
-    schedule.is_cut(grey_picture(90))
     assert schedule.has_time(READ, due_at=10.033)
 
 
