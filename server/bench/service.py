@@ -153,7 +153,7 @@ class _Bench:
                 yield
         finally:
             scaling.release()
-        _print(scaling_lines(f"{title}, {width}x{width // 2}, {scaling.renderer}; milliseconds, wall time but for cpu", unit, rows))
+        _print(scaling_lines(f"{title}, {width}x{width // 2}, {scaling.renderer}", unit, rows))
 
     def _clip(self, size: str, clip: str) -> Path:
         return demo_clip(_width(size), self._options.fps, still=CLIPS[clip])

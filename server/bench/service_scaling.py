@@ -92,11 +92,12 @@ class Scaling:
         return {"count": count, "note": note, "conditions": {"still": still, "moving sun": sun, "still, one object turns": turning}}
 
     def _cost(self, frames: Sequence[YuvFrame], scene_of: Scenes) -> Report:
-        """Percentiles of wall milliseconds, and the mean of the processor time of render and light together."""
+        """Percentiles of wall milliseconds, means of the stages, and the mean of the processor time of all of it."""
         self._pipeline.reset()
         pool, light = FramePool(self._size), None
         render_ms: list[float] = []
         light_ms: list[float] = []
+        stages: dict[str, float] = {}
         processor_s = 0.0
         for index, frame in zip(range(self._warm_up + self._count), _to_and_fro(frames), strict=False):
             scene, moment = scene_of(index), index / self._fps
@@ -104,19 +105,22 @@ class Scaling:
             if self._stop.is_set():
                 raise StopError
             if index == self._warm_up:
-                render_ms, light_ms, processor_s = [], [], 0.0
+                render_ms, light_ms, stages, processor_s = [], [], {}, 0.0
             before = time.process_time()
             started = time.perf_counter()
             rendered = self._pipeline.render(frame, scene, light=light, moment=moment, output=output)
             rendered_at = time.perf_counter()
-            light, _ = self._pipeline.read_light(moment)
-            self._pipeline.prepare(light)
+            light, reading = self._pipeline.read_light(moment)
+            preparing = self._pipeline.prepare(light)
             light_ms.append((time.perf_counter() - rendered_at) * 1e3)
             render_ms.append((rendered_at - started) * 1e3)
             processor_s += time.process_time() - before
+            for name, milliseconds in itertools.chain(*(each.stages.items() for each in (rendered.timings, reading, preparing))):
+                stages[name] = stages.get(name, 0.0) + milliseconds / self._count
             if rendered.errors:
                 raise ValueError(f"objects could not be drawn: {rendered.errors}")
         return {"render_ms": percentiles(render_ms), "light_ms": percentiles(light_ms),
+                "stages_ms": {name: round(mean, 3) for name, mean in stages.items()},
                 "cpu_ms_per_frame": round(processor_s * 1e3 / self._count, 3),
                 "lights": 0 if light is None else len(light.detection.lights)}
 

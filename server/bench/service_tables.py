@@ -105,13 +105,12 @@ def viewer_lines(runs: Sequence[Report]) -> Iterator[str]:
 
 def scaling_lines(title: str, unit: str, rows: Sequence[Report]) -> Iterator[str]:
     """`rows` have `count`, `note` and figures by condition."""
-    conditions = list(rows[0]["conditions"])
-    yield title
-    yield f"{'':{10}}" + "".join(f"{condition:^50}" for condition in conditions)
-    yield f"{unit:>10}" + f"{'render p50':>14}{'p95':>8}{'light p50':>11}{'p95':>8}{'cpu':>9}" * len(conditions) + "  "
+    yield f"{title}; milliseconds, wall time but for cpu"
+    yield f"{'':10}" + "".join(f"{condition:>34}" for condition in rows[0]["conditions"])
+    yield f"{unit:>10}" + f"{'render p50':>12}{'p95':>7}{'light':>7}{'cpu':>8}" * len(rows[0]["conditions"])
     for row in rows:
-        cells = (f"{cell['render_ms']['p50']:14.2f}{cell['render_ms']['p95']:8.2f}{cell['light_ms']['p50']:11.2f}"
-                 f"{cell['light_ms']['p95']:8.2f}{cell['cpu_ms_per_frame']:9.2f}" for cell in row["conditions"].values())
+        cells = (f"{cell['render_ms']['p50']:12.1f}{cell['render_ms']['p95']:7.1f}{cell['light_ms']['p50']:7.1f}"
+                 f"{cell['cpu_ms_per_frame']:8.1f}" for cell in row["conditions"].values())
         yield f"{row['count']:>10}" + "".join(cells) + f"  {row['note']}"
 
 
