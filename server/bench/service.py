@@ -115,15 +115,17 @@ class _Bench:
         before = measure_transcode(self._folder, self._stop, file, self._period)
         service = measure_service(self._folder, self._stop, Show(file, scene, self._models), self._period)
         after = measure_transcode(self._folder, self._stop, file, self._period)
-        floors = (before["cpu_ms_per_frame"], after["cpu_ms_per_frame"])
-        cost, floor = service["cpu_ms_per_frame"], sum(floors) / 2
-        return {"size": size, "clip": clip, "fps": self._options.fps, "processors": self.report["machine"]["processors"],
+        floors = (before["cost_ms"], after["cost_ms"])
+        cost, floor = service["cost_ms"], sum(floors) / 2
+        sending = service["cpu_ms_per_frame"]["server"]
+        processors = self.report["machine"]["processors"]
+        return {"size": size, "clip": clip, "fps": self._options.fps, "processors": processors,
                 "triangles": triangles_of(scene, {KNOT: self._knot_triangles, "teapot": self._teapot_triangles}),
                 "knot_triangles": self._knot_triangles, "teapot_triangles": self._teapot_triangles,
                 "transcodes": [before, after], "service": service,
-                "ratio": {"worker": round(cost["worker"] / floor, 3),
-                          "range": [round(cost["worker"] / max(floors), 3), round(cost["worker"] / min(floors), 3)],
-                          "worker_and_server": round((cost["worker"] + cost["server"]) / floor, 3)}}
+                "share_of_processors": round((cost + sending) * self._options.fps / 1e3 / processors, 4),
+                "ratio": {"worker": round(cost / floor, 3), "range": [round(cost / max(floors), 3), round(cost / min(floors), 3)],
+                          "worker_and_server": round((cost + sending) / floor, 3)}}
 
     def _viewers(self) -> Iterator[None]:
         size, clip = self._options.sizes[0], self._options.clips[0]

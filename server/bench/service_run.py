@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 import threading
 from collections.abc import Mapping
@@ -20,6 +19,7 @@ from server.demo.watch import DemoError, NewestLine, Watch
 READY_WITHIN_S = 90.0
 LONGEST_SILENCE_S = 2.0     # of a child at the end of a period, beyond which its figures do not stand for the period
 WORKER_MODULE = "server.worker"
+DECODING_THREAD = "ingest"
 Report = dict[str, Any]
 
 
@@ -107,10 +107,10 @@ def _service_report(samples: list[Sample], renderer: str | None, threads: Mappin
     worker_ms = 1e3 * (last.cpu_seconds["worker"] - first.cpu_seconds["worker"]) / report["frames_out"]
     others = {name: 1e3 * (last.cpu_seconds[name] - first.cpu_seconds[name]) / seconds / report["fps"]
               for name in ("server", "publisher", "viewer")}
-    ours = (worker_ms + others["server"]) * report["fps"] / 1e3
+    by_thread = {name: 1e3 * cores / report["fps"] for name, cores in threads.items()}
     return {**report, "cpu_ms_per_frame": _rounded({"worker": worker_ms, **others}, 3),
-            "threads_ms_per_frame": _rounded({name: 1e3 * cores / report["fps"] for name, cores in threads.items()}, 3),
-            "share_of_processors": round(ours / (os.cpu_count() or 1), 4), "light_interval": last.stats["light_interval"],
+            "threads_ms_per_frame": _rounded(by_thread, 3),
+            "cost_ms": round(_cost_ms(worker_ms, by_thread, report), 3), "light_interval": last.stats["light_interval"],
             "received": {name: last.viewer[name] - first.viewer[name] for name in ("slowest", "bytes") if name in last.viewer}}
 
 
@@ -139,12 +139,22 @@ def _transcode_report(first: Report, last: Report, threads: Mapping[str, float],
     seconds, frames = last["time"] - first["time"], last["frames_encoded"] - first["frames_encoded"]
     if not frames or wanted_s - seconds > LONGEST_SILENCE_S:
         raise DemoError(f"the transcode encoded {frames} frames in {seconds:.1f} s, then was silent for {wanted_s - seconds:.1f} s")
-    fps = frames / seconds
-    return {"seconds": round(seconds, 2), "frames_in": last["frames_in"] - first["frames_in"], "frames_out": frames,
-            "frames_dropped": last["frames_dropped"] - first["frames_dropped"], "fps": round(fps, 2),
-            "mbps": round((last["bytes"] - first["bytes"]) * 8e-6 / seconds, 2),
-            "cpu_ms_per_frame": round(1e3 * (last["cpu_seconds"] - first["cpu_seconds"]) / frames, 3),
-            "threads_ms_per_frame": _rounded({name: 1e3 * cores / fps for name, cores in threads.items()}, 3)}
+    fps, cpu_ms = frames / seconds, 1e3 * (last["cpu_seconds"] - first["cpu_seconds"]) / frames
+    by_thread = {name: 1e3 * cores / fps for name, cores in threads.items()}
+    report = {"frames_in": last["frames_in"] - first["frames_in"], "frames_out": frames}
+    return {**report, "seconds": round(seconds, 2), "frames_dropped": last["frames_dropped"] - first["frames_dropped"],
+            "fps": round(fps, 2), "mbps": round((last["bytes"] - first["bytes"]) * 8e-6 / seconds, 2),
+            "cpu_ms_per_frame": round(cpu_ms, 3), "threads_ms_per_frame": _rounded(by_thread, 3),
+            "cost_ms": round(_cost_ms(cpu_ms, by_thread, report), 3)}
+
+
+def _cost_ms(cpu_ms: float, by_thread: Mapping[str, float], report: Report) -> float:
+    """Processor time of a frame that is not dropped: decoding by frames that came in, all else by frames that went out.
+
+    On a machine that others use too, service and transcode drop different numbers of frames, all of which they have decoded.
+    """
+    kept = min(float(report["frames_out"] / report["frames_in"]), 1.0)
+    return cpu_ms - by_thread.get(DECODING_THREAD, 0.0) * (1 - kept)
 
 
 def _rounded(values: Mapping[str, float], digits: int) -> dict[str, float]:

@@ -33,6 +33,7 @@ def service_lines(run: Report) -> Iterator[str]:
         yield _row(label, (column[key] for column in columns), form)
     cost = service["cpu_ms_per_frame"]
     yield _row("processor ms a frame: worker", (before["cpu_ms_per_frame"], cost["worker"], after["cpu_ms_per_frame"]), ".2f")
+    yield _row("  decoded once a frame in", (column["cost_ms"] for column in columns), ".2f")
     for name in ("server", "publisher", "viewer"):
         yield _row(f"  {name}{'' if name == 'server' else ', not ours'}", (None, cost[name], None), ".2f")
     for name in _thread_names(columns):
@@ -67,10 +68,10 @@ def _verdict_lines(run: Report) -> Iterator[str]:
     yield (f"ratio worker / transcode: {ratio['worker']:.2f}{_judged(ratio['worker'], bars)}"
            f"; by each transcode alone {ratio['range'][0]:.2f} to {ratio['range'][1]:.2f}")
     yield f"ratio (worker + server's sending) / transcode, which sends nothing: {ratio['worker_and_server']:.2f}"
-    share, most = service["share_of_processors"], SHARE_BARS.get(run["size"])
-    yield (f"share of the {run['processors']} processors, worker and server: {share:.1%}"
-           + ("" if most is None else f" (bar {most:.0%}: {'met' if share <= most else 'missed'})")
-           + f"; light read every {service['light_interval']:.1f} frames; {service['touched_fraction']:.1%} of the picture touched")
+    share, most = run["share_of_processors"], SHARE_BARS.get(run["size"])
+    yield (f"worker and server need {share:.1%} of {run['processors']} processors for {run['fps']} frames/s"
+           + ("" if most is None else f" (bar {most:.0%}: {'met' if share <= most else 'missed'})"))
+    yield f"light read every {service['light_interval']:.1f} frames; {service['touched_fraction']:.1%} of the picture touched"
     yield f"{run['fps']} frames/s: the service {_holds(service, run)}, the transcode {_holds(run['transcodes'][0], run)}"
     if service["frames_out"] < WINDOW_FRAMES:
         yield f"fewer than {WINDOW_FRAMES} frames were measured: percentiles reach back into the warm-up"
