@@ -20,6 +20,7 @@ READY_WITHIN_S = 90.0
 LONGEST_SILENCE_S = 2.0     # of a child at the end of a period, beyond which its figures do not stand for the period
 WORKER_MODULE = "server.worker"
 DECODING_THREAD = "ingest"
+COUNTED = ("time", "slowest", "bytes")      # by `service_viewers`
 Report = dict[str, Any]
 
 
@@ -111,7 +112,7 @@ def _service_report(samples: list[Sample], renderer: str | None, threads: Mappin
     return {**report, "cpu_ms_per_frame": _rounded({"worker": worker_ms, **others}, 3),
             "threads_ms_per_frame": _rounded(by_thread, 3),
             "cost_ms": round(_cost_ms(worker_ms, by_thread, report), 3), "light_interval": last.stats["light_interval"],
-            "received": {name: last.viewer[name] - first.viewer[name] for name in ("slowest", "bytes") if name in last.viewer}}
+            "received": {name: last.viewer[name] - first.viewer[name] for name in COUNTED if name in last.viewer}}
 
 
 def measure_transcode(folder: Path, stop: threading.Event, clip: Path, period: Period) -> Report:

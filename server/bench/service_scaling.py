@@ -25,7 +25,7 @@ from renderer.pipeline import Pipeline
 from renderer.scene import Scene
 from server.bench.service_scene import knot_alone, knot_glb, objects_around, triangles_of
 from server.demo.clip import demo_clip
-from server.demo.watch import StopError
+from server.demo.watch import DemoError, StopError
 from server.worker.picture import FramePool, PictureReader
 from server.worker.render_loop import warm_up
 from server.worker.statistics import percentiles
@@ -45,7 +45,7 @@ Scenes = Callable[[int], Scene]     # by the number of the frame
 class Scaling:
     """Owns a GL context and a pipeline of one size. Models are made in `folder`. Every table gives its rows as they are measured.
 
-    Raises GLUnavailableError; the tables raise ValueError when something could not be drawn, StopError when `stop` is set.
+    Raises GLUnavailableError; the tables raise DemoError when something could not be drawn, StopError when `stop` is set.
     """
 
     def __init__(self, width: int, fps: int, folder: Path, frames: int, warm_up_frames: int, teapot_triangles: int,
@@ -118,7 +118,7 @@ class Scaling:
             for name, milliseconds in itertools.chain(*(each.stages.items() for each in (rendered.timings, reading, preparing))):
                 stages[name] = stages.get(name, 0.0) + milliseconds / self._count
             if rendered.errors:
-                raise ValueError(f"objects could not be drawn: {rendered.errors}")
+                raise DemoError(f"objects could not be drawn: {rendered.errors}")
         return {"render_ms": percentiles(render_ms), "light_ms": percentiles(light_ms),
                 "stages_ms": {name: round(mean, 3) for name, mean in stages.items()},
                 "cpu_ms_per_frame": round(processor_s * 1e3 / self._count, 3),

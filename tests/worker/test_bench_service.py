@@ -81,12 +81,15 @@ def test_processes_are_seen_from_outside() -> None:
         time.sleep(0.5)
         memory = memory_of(child.pid)
         assert 1.0 < memory.now_mb <= memory.peak_mb
-        threads, others, ours = ThreadClock(child.pid), OtherWork([]), OtherWork([child.pid])
-        time.sleep(1.5)
-        used = threads.cores()
-        assert sum(used.values()) > 0.1
+        threads, with_child, without = ThreadClock(child.pid), OtherWork([]), OtherWork([child.pid])
+        started, used = time.monotonic(), threads.cores()
+        while sum(used.values()) * (time.monotonic() - started) < 0.5:
+            assert time.monotonic() < started + 60
+            time.sleep(0.2)
+            used = threads.cores()
         assert used["main"] < 0.5 * sum(used.values()), "the work of another thread is taken for the main thread's"
-        assert others.cores() > ours.cores() + 0.1, "the child's work is counted among others' although it is not"
+        others = without.cores()
+        assert with_child.cores() > others, "the child's work is counted among others' although it is not"
     finally:
         child.kill()
         child.wait()
@@ -185,10 +188,10 @@ def test_flat_memory_is_told_from_growing() -> None:
     seconds = [60.0 + 10 * index for index in range(60)]
     wave = [500 + 20 * (index % 6) for index in range(60)]
     assert service_soak.trend(seconds, [float(value) for value in wave]).is_flat
-    leak = service_soak.trend(seconds, [value + 1.5 * second / 60 for value, second in zip(wave, seconds, strict=True)])
-    assert leak.mb_a_minute == pytest.approx(1.5, abs=0.1)
+    leak = service_soak.trend(seconds, [value + 2.5 * second / 60 for value, second in zip(wave, seconds, strict=True)])
+    assert leak.mb_a_minute == pytest.approx(2.5, abs=0.01)
     assert not leak.is_flat
-    step = service_soak.trend(seconds, [500.0 if second < 120 else 520.0 for second in seconds])
+    step = service_soak.trend(seconds, [500.0 if second < 120 else 530.0 for second in seconds])
     assert not step.is_flat, "it never comes back to what it was"
     falling = service_soak.trend(seconds, [600 - second / 60 for second in seconds])
     assert falling.is_flat
