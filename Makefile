@@ -6,7 +6,7 @@ ARGS ?=
 PYTEST_ARGS ?=
 MAPS ?=
 
-.PHONY: help demo test lint check-python check-web e2e bench bench-light bench-truth fuzz setup setup-test setup-truth lock clean
+.PHONY: help demo test lint check-python check-web e2e bench bench-light bench-service bench-truth soak fuzz setup setup-test setup-truth lock clean
 
 help: ## show the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 16
@@ -62,6 +62,12 @@ bench: setup ## what each stage of the frame path costs; ARGS="--quick --json FI
 
 bench-light: setup ## the light stages against their references; MAPS=FOLDER measures its radiance maps too, CLIPS=FOLDER its clips
 	$(BIN)/python -m server.bench.light $(if $(MAPS),--maps $(MAPS)) $(if $(CLIPS),--clips $(CLIPS)) $(ARGS)
+
+bench-service: setup ## the whole service beside a plain transcode, by size, objects, triangles, lamps and viewers; ARGS="--quick --json FILE"
+	$(BIN)/python -m server.bench.service $(ARGS)
+
+soak: setup ## memory of the service while its scene, methods and viewers change; ARGS="--minutes 10"
+	$(BIN)/python -m server.bench.service_soak $(ARGS)
 
 fuzz: setup-test ## broken models for ten minutes; ARGS="--seconds 60 --seed 1"
 	$(BIN)/python -m tests.benchmarks.fuzz_models $(ARGS)

@@ -23,6 +23,7 @@ from server.demo.landscape import (
 )
 
 LOOP_SECONDS = 30
+STILL_SECONDS = 10
 SUN_ELEVATION_RAD = math.radians(38.0)
 SUN_START_RAD = math.radians(120.0)     # right and behind; crosses the seam (behind) after 5 s
 SUN_RADIUS_RAD = math.radians(2.0)
@@ -64,10 +65,14 @@ class Camera:
         noise = rng.normal(0, NOISE_CODES, (self.height + 64, width + 64)).round()
         self._noise = noise.astype(np.int8)
 
-    def frame(self, pts_seconds: float) -> Planes:
-        """The frame shown at `pts_seconds` as BT.709 limited-range planes Y (h, w), Cb and Cr (h / 2, w / 2)."""
-        azimuth = sun_azimuth(pts_seconds)
-        sun = np.array(sun_direction(pts_seconds), np.float32)
+    def frame(self, pts_seconds: float, sun_seconds: float | None = None) -> Planes:
+        """The frame shown at `pts_seconds` as BT.709 limited-range planes Y (h, w), Cb and Cr (h / 2, w / 2).
+
+        With `sun_seconds` the sun stands where it is at that time, and only the noise is that of `pts_seconds`.
+        """
+        sun_seconds = pts_seconds if sun_seconds is None else sun_seconds
+        azimuth = sun_azimuth(sun_seconds)
+        sun = np.array(sun_direction(sun_seconds), np.float32)
         ground_lit, object_lit = self._lit_now
         lower = slice(self._band[0].start, self.height)
         ground_lit[lower], object_lit[lower] = self._ground_lit[lower], 0
@@ -90,6 +95,10 @@ class Camera:
     def frames(self, fps: int) -> Iterator[Planes]:
         """One loop, LOOP_SECONDS × fps frames."""
         return (self.frame(index / fps) for index in range(LOOP_SECONDS * fps))
+
+    def still_frames(self, fps: int) -> Iterator[Planes]:
+        """STILL_SECONDS × fps frames under a sun that stands still: they differ by the sensor's noise alone."""
+        return (self.frame(index / fps, 0.0) for index in range(STILL_SECONDS * fps))
 
     def _add_noise(self, luma: NDArray[np.uint8], seed: int) -> None:
         row, column = np.random.default_rng(seed).integers(0, 64, 2)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import IO
@@ -20,13 +21,25 @@ class ChildError(RuntimeError):
 
 
 class Child:
-    """`python -m MODULE ARGUMENTS`. Its standard output is a text pipe if `piped`, otherwise ours."""
+    """`python -m MODULE ARGUMENTS`. Its standard output is a text pipe if `piped`, otherwise ours.
 
-    def __init__(self, name: str, module: str, arguments: Sequence[str | Path], piped: bool) -> None:
+    With `log`, what it writes and does not pipe is appended to that file. `environment` is added to ours.
+    """
+
+    def __init__(self, name: str, module: str, arguments: Sequence[str | Path], piped: bool, log: Path | None = None,
+                 environment: Mapping[str, str] | None = None) -> None:
         self.name = name
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", module, *map(str, arguments)], stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE if piped else None, start_new_session=True, text=True)
+        self._log = log
+        with contextlib.ExitStack() as stack:
+            written = None if log is None else stack.enter_context(log.open("ab"))
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", module, *map(str, arguments)], stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE if piped else written, stderr=written, start_new_session=True, text=True,
+                env={**os.environ, **(environment or {})})
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
 
     @property
     def stdout(self) -> IO[str]:
@@ -37,7 +50,11 @@ class Child:
         """Raises ChildError when it has ended."""
         status = self._process.poll()
         if status is not None:
-            raise ChildError(f"the {self.name} ended by itself with status {status}")
+            raise ChildError(f"the {self.name} ended by itself with status {status}{self._last_words()}")
+
+    def _last_words(self) -> str:
+        lines = [] if self._log is None else self._log.read_text(errors="replace").splitlines()
+        return f": {lines[-1]}" if lines else ""
 
     def interrupt(self) -> None:
         if self._process.poll() is None:
@@ -66,10 +83,17 @@ class Children:
     def __init__(self) -> None:
         self._children: list[Child] = []
 
-    def start(self, name: str, module: str, *arguments: str | Path, piped: bool = False) -> Child:
-        child = Child(name, module, arguments, piped)
+    def start(self, name: str, module: str, *arguments: str | Path, piped: bool = False, log: Path | None = None,
+              environment: Mapping[str, str] | None = None) -> Child:
+        child = Child(name, module, arguments, piped, log, environment)
         self._children.append(child)
         return child
+
+    def stop(self, child: Child) -> None:
+        """End one of them now, within STOP_WITHIN_S."""
+        self._children.remove(child)
+        child.interrupt()
+        child.end(STOP_WITHIN_S)
 
     def check(self) -> None:
         """Raises ChildError when one of them has ended."""

@@ -11,26 +11,28 @@ import numpy as np
 from av.video.reformatter import ColorPrimaries, ColorRange, Colorspace, ColorTrc
 from tqdm import tqdm
 
-from server.demo.camera import LOOP_SECONDS, Camera, Planes
+from server.demo.camera import LOOP_SECONDS, STILL_SECONDS, Camera, Planes
 
 VERSION = 4     # raise it when the picture changes: the files of older versions are then not used any more
 
 
-def demo_clip(width: int, fps: int) -> Path:
+def demo_clip(width: int, fps: int, still: bool = False) -> Path:
     """Path of an MP4 of LOOP_SECONDS at width × width / 2, made on first use (about a minute at 2048).
+
+    `still`: of STILL_SECONDS under a sun that does not move.
 
     Raises ValueError for a geometry that cannot be made, OSError when the cache folder cannot be written.
     """
     if not 1 <= fps <= 120:
         raise ValueError(f"fps is {fps}, expected 1 to 120")
-    path = _cache_folder() / f"demo-{width}-{fps}-{VERSION}.mp4"
+    path = _cache_folder() / f"{'still' if still else 'demo'}-{width}-{fps}-{VERSION}.mp4"
     if path.exists():
         return path
     camera = Camera(width)
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_suffix(f".{os.getpid()}.partial")
     try:
-        _encode(camera, fps, partial)
+        _encode(camera, fps, still, partial)
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
@@ -42,7 +44,7 @@ def _cache_folder() -> Path:
     return (Path(base) if os.path.isabs(base) else Path.home() / ".cache") / "mr360"
 
 
-def _encode(camera: Camera, fps: int, path: Path) -> None:
+def _encode(camera: Camera, fps: int, still: bool, path: Path) -> None:
     with av.open(str(path), "w", format="mp4") as container:
         stream = container.add_stream("libx264", rate=fps, options={
             # fastdecode: the service decodes this on the cores that also render, 4 ms a frame in place of 13
@@ -53,7 +55,8 @@ def _encode(camera: Camera, fps: int, path: Path) -> None:
         context.thread_type = "FRAME"   # one slice a frame, as cameras do, and the next frame is drawn meanwhile
         context.color_primaries, context.color_trc = ColorPrimaries.BT709, ColorTrc.BT709
         context.colorspace, context.color_range = Colorspace.ITU709, ColorRange.MPEG
-        frames = tqdm(camera.frames(fps), total=LOOP_SECONDS * fps, desc="demo camera", unit="frame", disable=None)
+        drawn, seconds = (camera.still_frames(fps), STILL_SECONDS) if still else (camera.frames(fps), LOOP_SECONDS)
+        frames = tqdm(drawn, total=seconds * fps, desc="demo camera", unit="frame", disable=None)
         for index, planes in enumerate(frames):
             container.mux(stream.encode(_frame(planes, index, fps)))
         container.mux(stream.encode(None))

@@ -42,13 +42,11 @@ class ViewerError(RuntimeError):
 
 
 class Viewer:
-    """One WHEP session."""
+    """One WHEP session. What decodes is the process's affair: `decode_with`."""
 
     def __init__(self, url: str) -> None:
         self.keyframes = 0
         self.size = (0, 0)
-        self._decoder = KeyframeDecoder()
-        decode_with(lambda _codec: self._decoder)
         self._url = url
         self._session_url: str | None = None
         self._receiving: asyncio.Task[None] | None = None
@@ -86,10 +84,6 @@ class Viewer:
         if self.state in ("failed", "closed"):
             raise ViewerError(f"the connection is {self.state}")
 
-    def progress(self) -> dict[str, Any]:
-        return {"state": self.state, "frames": self._decoder.units, "keyframes": self.keyframes, "width": self.size[0],
-                "height": self.size[1], "timestamp": self._decoder.timestamp, "time": time.monotonic()}
-
     def _on_track(self, track: MediaStreamTrack) -> None:
         self._receiving = asyncio.create_task(self._receive(track))
 
@@ -125,16 +119,23 @@ async def watch(url: str) -> None:
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    decoder = KeyframeDecoder()
+    decode_with(lambda _codec: decoder)
     viewer = Viewer(url)
     try:
         await viewer.start()
         while not stop.is_set():
-            print(json.dumps(viewer.progress()), flush=True)
+            print(json.dumps(_progress(viewer, decoder)), flush=True)
             viewer.check()
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(stop.wait(), REPORT_EVERY_S)
     finally:
         await viewer.stop()
+
+
+def _progress(viewer: Viewer, decoder: KeyframeDecoder) -> dict[str, Any]:
+    return {"state": viewer.state, "frames": decoder.units, "keyframes": viewer.keyframes, "width": viewer.size[0],
+            "height": viewer.size[1], "timestamp": decoder.timestamp, "time": time.monotonic()}
 
 
 def main() -> int:

@@ -15,6 +15,7 @@ from renderer.frame import YuvFrame
 from renderer.gl import Context, GLUnavailableError
 from renderer.pipeline import Pipeline
 from server.worker.messages import Message, ProtocolError, encode_message, receive_message
+from server.worker.named_thread import NamedThread
 from server.worker.render_loop import RenderLoop, warm_up
 
 logger = logging.getLogger(__name__)
@@ -65,7 +66,7 @@ def main() -> int:
     except GLUnavailableError as error:
         link.send({"type": "fatal", "error": str(error)})
         return EXIT_FATAL
-    threading.Thread(target=link.receive_for_ever, name="receive", daemon=True).start()
+    NamedThread(target=link.receive_for_ever, name="receive", daemon=True).start()
     pipeline = Pipeline(context, YuvFrame, WARM_UP_SIZE)
     warm_up(pipeline, WARM_UP_SIZE)
     pipeline.release()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -13,6 +12,7 @@ from av.video.codeccontext import VideoCodecContext
 from av.video.frame import PictureType, VideoFrame
 
 from renderer.frame import YuvFrame
+from server.worker.named_thread import NamedThread
 from server.worker.newest import Newest
 
 CLOCK_RATE = 90_000
@@ -91,7 +91,7 @@ class EncodeThread:
         self._last_keyframe = -1e9
         self._stopped = False
         self.error: BaseException | None = None
-        self._thread = threading.Thread(target=self._run, name="encode", daemon=True)
+        self._thread = NamedThread(target=self._run, name="encode", daemon=True)
         self._thread.start()
 
     def request_keyframe(self) -> None:

@@ -7,6 +7,7 @@ import random
 import threading
 from collections.abc import Callable
 
+from server.worker.named_thread import NamedThread
 from server.worker.newest import Newest
 from server.worker.source import LISTEN_SCHEME, Decoded, Source, SourceError, SourceInfo
 
@@ -30,7 +31,7 @@ class Ingest:
         self._on_state = on_state
         self._stopped = threading.Event()
         self.frames_in = 0
-        self._thread = threading.Thread(target=self._run, name="ingest", daemon=True)
+        self._thread = NamedThread(target=self._run, name="ingest", daemon=True)
         self._thread.start()
 
     def _run(self) -> None:

@@ -24,6 +24,7 @@ from server.worker.ingest import Ingest
 from server.worker.light_follower import LightFollower
 from server.worker.light_message import light_message
 from server.worker.messages import Message
+from server.worker.named_thread import NamedThread
 from server.worker.newest import Newest
 from server.worker.output_clock import OutputClock
 from server.worker.picture import FramePool, PictureError, PictureReader, encode_jpeg, output_size, picture_flags
@@ -80,7 +81,7 @@ class RenderLoop:
         self._running = True
         self._alive_until = 0.0
         self._closed = threading.Event()
-        self._heart = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
+        self._heart = NamedThread(target=self._beat, name="heartbeat", daemon=True)
         self._set_source(start.get("source"))
 
     # -- messages ---------------------------------------------------------------------------------------------------
@@ -293,7 +294,7 @@ class RenderLoop:
                 self._send({"type": "snapshot", "request": request, "error": f"snapshot failed: {error}"}, b"")
 
         self._snapshots = [thread for thread in self._snapshots if thread.is_alive()]
-        thread = threading.Thread(target=answer, name="snapshot", daemon=True)
+        thread = NamedThread(target=answer, name="snapshot", daemon=True)
         self._snapshots.append(thread)
         thread.start()
 
