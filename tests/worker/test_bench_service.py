@@ -191,7 +191,7 @@ def test_flat_memory_is_told_from_growing() -> None:
     leak = service_soak.trend(seconds, [value + 2.5 * second / 60 for value, second in zip(wave, seconds, strict=True)])
     assert leak.mb_a_minute == pytest.approx(2.5, abs=0.01)
     assert not leak.is_flat
-    step = service_soak.trend(seconds, [500.0 if second < 120 else 530.0 for second in seconds])
+    step = service_soak.trend(seconds, [500.0 if second < 120 else 540.0 for second in seconds])
     assert not step.is_flat, "it never comes back to what it was"
     falling = service_soak.trend(seconds, [600 - second / 60 for second in seconds])
     assert falling.is_flat
