@@ -76,12 +76,14 @@ class FrameBudget:
         if lost > self._lost:
             self._lost_at.append(moment)
         self._lost = lost
-        before, load = self.effort, self._load(JUDGED_FRAMES)
-        if len(self._loads) >= JUDGED_FRAMES and (reason := self._overload(moment, load)):
-            self._give_up(moment, load, situation, reason)
+        before, taken, load = self.effort, list(self._taken), self._load(JUDGED_FRAMES)
+        reason = self._overload(moment, load) if len(self._loads) >= JUDGED_FRAMES else ""
+        if reason:
+            self._give_up(moment, load, situation)
         elif len(self._loads) >= ROOM_FRAMES and self._taken:
-            self._take_back(moment, self._load(ROOM_FRAMES), situation)
+            reason = self._take_back(moment, self._load(ROOM_FRAMES), situation)
         if self.effort != before:
+            self._remember(taken, moment, reason)
             self._loads.clear()
             self._lost_at.clear()
             self._room_since = None
@@ -112,7 +114,7 @@ class FrameBudget:
             return f"frames lost at load {load:.2f}"
         return ""
 
-    def _give_up(self, moment: float, load: float, situation: Situation, reason: str) -> None:
+    def _give_up(self, moment: float, load: float, situation: Situation) -> None:
         """As much as is needed by the prediction, at least one thing, if there is anything that helps."""
         cost = predicted_cost_s(self.effort, situation)
         taken = 0
@@ -120,22 +122,22 @@ class FrameBudget:
             chosen = self._cheapest(situation)
             if chosen is None:
                 break
-            self._step(chosen, 1, moment, reason)
+            self._step(chosen, 1)
             taken += 1
-            self._drop_useless(moment, situation)
+            self._drop_useless(situation)
         if taken == 0 and self._is_hopeless() and FRAME_STEP not in self._taken:
-            self._step(FRAME_STEP, 1, moment, reason)
+            self._step(FRAME_STEP, 1)
             taken = 1
         if taken and moment - self._undone_at < WRONG_S:
             self._hold_s = min(2 * self._hold_s, MOST_HOLD_S)
             self._undone_at = -float("inf")
 
-    def _drop_useless(self, moment: float, situation: Situation) -> None:
+    def _drop_useless(self, situation: Situation) -> None:
         """Take back what saves nothing any more beside what has been given up since."""
         for lever in dict.fromkeys(reversed(self._taken)):
             effort = lever.set(self.effort, self._taken.count(lever) - 1)
             if predicted_cost_s(effort, situation) <= predicted_cost_s(self.effort, situation):
-                self._step(lever, -1, moment, "saves nothing any more")
+                self._step(lever, -1)
 
     def _cheapest(self, situation: Situation) -> Lever | None:
         """The next step down that errs least for what it saves."""
@@ -151,8 +153,8 @@ class FrameBudget:
                 found.append(((predicted_error(effort, situation) - error) / saving, index))
         return LEVERS[min(found)[1]] if found else None
 
-    def _take_back(self, moment: float, load: float, situation: Situation) -> None:
-        """The last one, if there has been room for it for long enough."""
+    def _take_back(self, moment: float, load: float, situation: Situation) -> str:
+        """The last one, if there has been room for it for long enough. Returns why."""
         if self._undone_at + WRONG_S < moment and self._undone_at > -float("inf"):
             self._hold_s, self._undone_at = max(HOLD_S, self._hold_s / 2), -float("inf")    # that was right
         last = self._taken[-1]
@@ -161,21 +163,27 @@ class FrameBudget:
         then = load * predicted_cost_s(effort, situation) / effort.frame_step / max(now_s, 1e-9)
         if then > LOW:
             self._room_since = None
-            return
+            return ""
         self._room_since = moment if self._room_since is None else self._room_since
         if moment - self._room_since >= self._hold_s:
-            self._step(last, -1, moment, f"load {load:.2f}, without it {then:.2f}")
+            self._step(last, -1)
             self._undone_at = moment
+        return f"load {load:.2f}, without it {then:.2f}"
 
-    def _step(self, lever: Lever, change: int, moment: float, reason: str) -> None:
+    def _step(self, lever: Lever, change: int) -> None:
         if change > 0:
             self._taken.append(lever)
         else:
             del self._taken[len(self._taken) - 1 - self._taken[::-1].index(lever)]
-        step = self._taken.count(lever)
-        self.effort = lever.set(self.effort, step)
-        self._decisions.append(Decision(moment, lever.name, lever.values[step], reason))
-        self._count += 1
+        self.effort = lever.set(self.effort, self._taken.count(lever))
+
+    def _remember(self, before: list[Lever], moment: float, reason: str) -> None:
+        """What is another than before: one decision for each lever, however far it went."""
+        for lever in (*LEVERS, FRAME_STEP):
+            step = self._taken.count(lever)
+            if step != before.count(lever):
+                self._decisions.append(Decision(moment, lever.name, lever.values[step], reason))
+                self._count += 1
 
     def _reported(self, situation: Situation | None, load: float, moment: float) -> dict[str, Any]:
         """What `stats` tells."""

@@ -27,7 +27,8 @@ from server.worker.messages import Message
 from server.worker.named_thread import NamedThread
 from server.worker.newest import Newest
 from server.worker.output_clock import OutputClock
-from server.worker.picture import FramePool, PictureError, PictureReader, encode_jpeg, output_size, picture_flags
+from server.worker.picture import FramePool, PictureError, PictureReader, output_size, picture_flags
+from server.worker.snapshots import Snapshots
 from server.worker.source import Decoded, SourceInfo
 from server.worker.statistics import RollingStatistics
 
@@ -77,7 +78,7 @@ class RenderLoop:
         self._errors: dict[str, str] = {}
         self._state: dict[str, Any] = {"source": "idle", "detail": None, "input": None, "output": None, "flags": []}
         self._state_lock = threading.Lock()
-        self._snapshots: list[threading.Thread] = []
+        self._snapshots = Snapshots(send)
         self._running = True
         self._alive_until = 0.0
         self._closed = threading.Event()
@@ -282,21 +283,7 @@ class RenderLoop:
             rendered = self._pipeline.render(self._last[0], self._scene)
             assert isinstance(rendered.frame, YuvFrame)
             picture = rendered.frame
-        if picture is None:
-            self._send({"type": "snapshot", "request": request, "error": "no frame has come from the source yet"}, b"")
-            return
-        chosen = picture
-
-        def answer() -> None:
-            try:
-                self._send({"type": "snapshot", "request": request, "error": None}, encode_jpeg(chosen))
-            except Exception as error:
-                self._send({"type": "snapshot", "request": request, "error": f"snapshot failed: {error}"}, b"")
-
-        self._snapshots = [thread for thread in self._snapshots if thread.is_alive()]
-        thread = NamedThread(target=answer, name="snapshot", daemon=True)
-        self._snapshots.append(thread)
-        thread.start()
+        self._snapshots.answer(request, picture)
 
     def _beat(self) -> None:
         """Statistics twice a second for as long as the main thread makes progress; without them the server replaces us."""
@@ -323,8 +310,7 @@ class RenderLoop:
         if self._ingest is not None:
             self._ingest.stop()
         self._encode.stop()
-        for thread in self._snapshots:
-            thread.join(1.0)
+        self._snapshots.close()
         if self._pipeline is not None:
             self._pipeline.release()
 

@@ -122,3 +122,18 @@ def test_after_an_edit_the_light_is_read_until_all_has_settled(stream: Stream) -
     stream.show(150, room)
     stream.follower.disturb()
     assert len(stream.show(10, room)) >= 7
+
+
+def test_what_the_budget_tolerates_neither_glance_nor_surprise_reads_all_the_same(stream: Stream) -> None:
+    camera = Camera(WIDTH)
+
+    def sunny(number: int) -> YuvFrame:
+        return YuvFrame(*camera.frame(number / FPS))
+
+    stream.show(45, sunny)
+    assert stream.follower.situation(1 / FPS).rate > 20.0
+    stream.follower.tolerance = 8.0
+    stream.show(15, sunny)
+    assert len(stream.show(60, sunny)) <= 20
+    sun = max(stream.follower.light.detection.lights, key=lambda light: float(light.irradiance.sum()))
+    assert np.degrees(np.arccos(sun.direction @ np.array(sun_direction(119 / FPS)))) < 5.0
