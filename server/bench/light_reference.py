@@ -100,7 +100,7 @@ def interpolated(values: Array, directions: Array) -> Array:
 
 def kernel_glossy(radiance: Array, directions: Array, roughness: float) -> Array:
     """(n, 3) radiance as a GGX lobe with N = V = R sees it around each direction."""
-    return _weighted(radiance, lambda towards: ggx_lobe(np.clip(directions @ towards.T, -1, 1), roughness))
+    return weighted_mean(radiance, lambda towards: ggx_lobe(np.clip(directions @ towards.T, -1, 1), roughness))
 
 
 def reflected_glossy(radiance: Array, normals: Array, views: Array, roughness: float) -> Array:
@@ -117,10 +117,11 @@ def reflected_glossy(radiance: Array, normals: Array, views: Array, roughness: f
                           + n_dot_v * np.sqrt(n_dot_l**2 * (1 - alpha2) + alpha2))
         return np.asarray(distribution * visibility * n_dot_l)
 
-    return _weighted(radiance, weight)
+    return weighted_mean(radiance, weight)
 
 
-def _weighted(radiance: Array, weight: Callable[[Array], NDArray[np.floating]]) -> Array:
+def weighted_mean(radiance: Array, weight: Callable[[Array], NDArray[np.floating]]) -> Array:
+    """(n, 3) mean of a map by `weight`, of (columns, 3) directions to (n, columns), times solid angle."""
     height, width = radiance.shape[:2]
     directions, area = pixel_directions(height, width), solid_angles(height, width)
     total, norm = np.zeros(1), np.zeros(1)
