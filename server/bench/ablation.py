@@ -22,10 +22,11 @@ from renderer.light.irradiance import project
 from renderer.light.reading import FrameLight
 from renderer.light.specular import resample
 from renderer.scene import PRESETS, Lighting
+from server.bench.ball_reference import Environment
 from server.bench.effort import Effort
 from server.bench.pipelines import Pipelines
 from server.bench.rows import Mark, Row
-from server.bench.whole_rows import by_region, camera_codes, displayed, photographed, rendered
+from server.bench.whole_rows import by_region, displayed, photographed, picture, rendered
 from server.bench.whole_scene import Pixels, balls_scene, environment, looked_at, true_radiance
 from server.bench.worlds import World, worlds
 
@@ -78,15 +79,15 @@ def _lights(pipelines: Pipelines, world: World, pixels: Pixels, truth: dict[str,
 
 def _lights_of_camera(pipelines: Pipelines, world: World, pixels: Pixels, truth: dict[str, Array], method: str, texels: int) -> Array:
     """The light is in units of the tone curve; so is what it lights, until it is shown."""
-    frame = camera_codes(world.radiance, world.exposure)
+    frame = picture(world)
     light = pipelines.light(frame, Lighting.model_validate({"lights": method}))
     ratio = true_radiance(_found(light.detection, light.detection.soft), pixels, np.ones((frame.rgb[..., 0].size, 3)), texels)
     shown = {region: np.minimum(linear_from_radiance(values), 1.0) for region, values in ratio.items()}
-    before = np.minimum(world.exposure * _flat(world.radiance), 1.0)
+    before = _flat(world.shown)
     return by_region({**shown, "ground": before[pixels.indices["ground"]] * ratio["ground"]}, displayed(truth, world))
 
 
-def _found(detection: Detection, backdrop: NDArray[np.floating]) -> object:
+def _found(detection: Detection, backdrop: NDArray[np.floating]) -> Environment:
     lights = tuple(light for light in detection.lights if not light.is_wide)
     return environment(detection.soft, lights, backdrop)
 
@@ -113,12 +114,12 @@ def _composite(pipelines: Pipelines, world: World, pixels: Pixels, truth: dict[s
     indices = pixels.indices["ground"]
     lighting = Lighting.model_validate({"composite": method})
     found = photographed(pipelines, world, lighting)
-    codes = camera_codes(world.radiance, world.exposure)
+    codes = picture(world)
     light = pipelines.light(codes)
     ones = RadianceFrame(np.ones_like(world.radiance))
     ratio = pipelines.of(ones).render(ones, balls_scene(), light=light).frame
     assert isinstance(ratio, RadianceFrame)
-    before = _flat(linear_from_srgb(codes.rgb[..., :] / 255.0))[indices]
+    before = _flat(linear_from_srgb(codes.rgb / 255.0))[indices]
     expected = displayed(truth, world)
     errors = _flat(found)[indices] - before * _flat(ratio.rgb)[indices]
     return by_region({**expected, "ground": expected["ground"] + errors}, expected)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,7 +26,7 @@ def hidden_share(points: Array, centre: Array, radius: float, light: Light) -> A
     cap = np.arcsin(np.minimum(radius / distance, 1.0))
     cosine = np.clip(towards @ light.direction, -1, 1)
     sine = np.sqrt(1 - cosine**2)
-    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    nodes, weights = quadrature(NODES)
     ring_sine = np.sqrt((nodes + 1) / 2) * np.sin(light.angular_radius)
     ring_cosine = np.sqrt(1 - ring_sine**2)
     # hidden where ring_cosine cosine + ring_sine sine cos(phi) > cos(cap), phi from the ball's side of the ring
@@ -34,6 +36,13 @@ def hidden_share(points: Array, centre: Array, radius: float, light: Light) -> A
     height = float(light.direction[1])
     arc = height * ring_cosine * edge + (tilt[:, None] * ring_sine) * np.sin(edge)
     return np.asarray((arc / (np.pi * ring_cosine)) @ weights / 2 / height)
+
+
+@lru_cache(maxsize=4)
+def quadrature(count: int) -> tuple[Array, Array]:
+    """Nodes in [-1, 1] and weights of Gauss and Legendre."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return nodes, weights
 
 
 def hidden_sky(points: Array, centre: Array, radius: float) -> Array:

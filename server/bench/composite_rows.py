@@ -15,9 +15,9 @@ from renderer.light.inverse_tone_mapping import OFFSET
 from renderer.light.reading import FrameLight
 from renderer.scene import Lighting, Scene
 from server.bench.effort import Effort
+from server.bench.frames import direction, yuv_from_linear
 from server.bench.pipelines import Pipelines
 from server.bench.rows import Mark, Row, relative, timed
-from server.bench.worlds import camera_frame, direction
 
 Array = NDArray[np.float64]
 STAGE = "composite"
@@ -40,7 +40,7 @@ def composite_rows(pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
         ratio, inside = _ratio(pipelines, effort.size, light)
         before = linear_from_srgb(codes.rgb[inside] / 255.0)
         expected = before * ratio[inside]
-        live = camera_frame(np.repeat(picture[..., None], 3, axis=2), 1.0)
+        live = yuv_from_linear(np.repeat(picture[..., None], 3, axis=2))
         for method, mark in METHODS:
             scene = _scene(method)
             found = pipelines.of(codes).render(codes, scene, light=light).frame

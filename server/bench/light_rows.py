@@ -14,6 +14,7 @@ from renderer.light.detection import Detection, Light
 from renderer.light.inverse_tone_mapping import WEIGHTS
 from renderer.light.irradiance import disc_cosine
 from renderer.scene import Lighting
+from server.bench.ball_shadow import quadrature
 from server.bench.effort import Effort
 from server.bench.light_reference import random_normals, reference_irradiance
 from server.bench.pipelines import Pipelines
@@ -45,7 +46,7 @@ def light_rows(pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
 
 
 def exact_irradiance(world: World, normals: Array) -> Array:
-    """(n, 3) from the sky by summation and from the discs by closed form, but for normals on whose horizon one lies: `ring_share`."""
+    """(n, 3) from the sky by summation and from the discs by `ring_cosine`."""
     discs = (ring_cosine(normals @ light.direction, light.angular_radius)[:, None] * light.irradiance for light in world.lights)
     return reference_irradiance(world.sky.astype(np.float32), normals) + sum(discs, np.zeros((len(normals), 3)))
 
@@ -53,7 +54,7 @@ def exact_irradiance(world: World, normals: Array) -> Array:
 def ring_cosine(cosine: Array, angular_radius: float) -> Array:
     """(n,) irradiance of a disc by that on a plane that faces it, exact: around each ring of the disc max(0, cos) has an integral in
     closed form; over the rings by quadrature (Gauss-Legendre, 64 nodes in the square of the sine)."""
-    nodes, weights = np.polynomial.legendre.leggauss(64)
+    nodes, weights = quadrature(64)
     sine2 = (nodes + 1) / 2 * np.sin(angular_radius) ** 2
     middle = np.asarray(cosine)[:, None] * np.sqrt(1 - sine2)
     swing = np.sqrt(np.maximum(1 - np.asarray(cosine)[:, None] ** 2, 0.0)) * np.sqrt(sine2)

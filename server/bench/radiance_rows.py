@@ -14,9 +14,10 @@ from renderer.light.ring_sampling import RingSource
 from renderer.light.specular import resample
 from renderer.panorama import PanoramaTextures
 from server.bench.effort import Effort
+from server.bench.frames import linear_from_yuv, yuv_from_linear
 from server.bench.pipelines import Pipelines
 from server.bench.rows import Mark, Row, relative, timed
-from server.bench.worlds import camera_frame, shown, worlds
+from server.bench.worlds import worlds
 
 Array = NDArray[np.float64]
 STAGE = "radiance map"
@@ -26,8 +27,8 @@ MEASURE = ("texels of the map of a camera's frame, less the mean by solid angle 
 
 def radiance_rows(pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
     for world in worlds(effort.size, effort.worlds):
-        frame = camera_frame(world.radiance, world.exposure)
-        exact = radiance_from_linear(shown(frame))
+        frame = yuv_from_linear(world.shown)
+        exact = radiance_from_linear(linear_from_yuv(frame))
         for params, mark, packed, divisor in (("", "default", True, 1), ("1/2 size", "", True, 2), ("exact decoding", "", False, 1)):
             yield _reduced(pipelines, frame, exact, world.name, effort, params, mark, packed, divisor)
         yield _papers(pipelines, frame, exact, world.name, effort)

@@ -15,9 +15,9 @@ from renderer.light.reading import FrameLight
 from renderer.scene import Scene
 from server.bench.ball_shadow import hidden_share, hidden_sky
 from server.bench.effort import Effort
+from server.bench.frames import direction
 from server.bench.pipelines import Pipelines
 from server.bench.rows import Mark, Row, timed
-from server.bench.worlds import direction
 
 Array = NDArray[np.float64]
 STAGE = "shadows"
@@ -50,7 +50,7 @@ def shadow_rows(pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
         expected = 1.0 - _hidden(points, CENTRE, RADIUS, light)
         for method, mark in METHODS:
             scene = _scene(method)
-            for state in ("still", "moving"):
+            for state in ("still", "moving") if light.detection.lights else ("moving",):
                 lights = _sequence(light, effort.repeats + WARM_UP, moving=state == "moving")
                 times = _times(pipelines, effort.size, scene, lights)
                 errors = _ratio(pipelines, effort.size, scene, lights[-SETTLED:])[pixels] - expected

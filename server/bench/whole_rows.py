@@ -9,14 +9,16 @@ from numpy.typing import NDArray
 
 from renderer.color import srgb_from_linear
 from renderer.equirectangular import solid_angles
-from renderer.frame import RadianceFrame, RgbFrame, YuvFrame
+from renderer.frame import RadianceFrame, RgbFrame
 from renderer.light.inverse_tone_mapping import linear_from_radiance
 from renderer.scene import PRESETS, STAGES, Lighting
 from server.bench.effort import Effort
+from server.bench.frames import yuv_from_linear
+from server.bench.needs import turned
 from server.bench.pipelines import Pipelines
 from server.bench.rows import Mark, Row, relative, timed
 from server.bench.whole_scene import BALLS, REGIONS, Pixels, balls_scene, environment, looked_at, true_radiance
-from server.bench.worlds import World, camera_frame, worlds
+from server.bench.worlds import World, worlds
 
 Array = NDArray[np.float64]
 STAGE = "whole"
@@ -77,18 +79,19 @@ def rendered(pipelines: Pipelines, world: World, lighting: Lighting, pixels: Pix
     return {region: whole.reshape(-1, 3)[pixels.indices[region]] for region in REGIONS}
 
 
-def camera_codes(radiance: NDArray[np.floating], exposure: float) -> RgbFrame:
-    return RgbFrame(np.round(255 * srgb_from_linear(np.clip(radiance * exposure, 0.0, 1.0))).astype(np.uint8))
+def picture(world: World) -> RgbFrame:
+    """Of the world's camera."""
+    return RgbFrame(np.round(255 * srgb_from_linear(world.shown)).astype(np.uint8))
 
 
 def photographed(pipelines: Pipelines, world: World, lighting: Lighting) -> Array:
     """(height, width, 3) linear display light, before it is rounded to codes again; the camera's own where nothing is drawn."""
-    frame = camera_codes(world.radiance, world.exposure)
-    result = pipelines.of(frame).render(frame, balls_scene(lighting))
-    shown = np.minimum(world.exposure * world.radiance, 1.0).astype(np.float64)
-    if result.touched is None:
-        return shown
-    return np.where(result.touched.mask[..., None], np.minimum(linear_from_radiance(result.touched.rgb), 1.0), shown)
+    frame = picture(world)
+    touched = pipelines.of(frame).render(frame, balls_scene(lighting)).touched
+    assert touched is not None
+    whole = world.shown.copy()
+    whole[touched.mask] = np.minimum(linear_from_radiance(touched.rgb[touched.mask]), 1.0)
+    return whole
 
 
 def flat_light(world: World, pixels: Pixels) -> dict[str, Array]:
@@ -100,9 +103,9 @@ def flat_light(world: World, pixels: Pixels) -> dict[str, Array]:
 
 def live_times(pipelines: Pipelines, world: World, lighting: Lighting, count: int) -> Array:
     """Of so many frames of a world that turns; each is lit by the light of the one before, as in a stream."""
-    picture = camera_frame(world.radiance, world.exposure)
-    frames = [_turned(picture, TURN * step) for step in range(count + WARM_UP)]
-    pipeline, scene = pipelines.of(picture), balls_scene(lighting)
+    still = yuv_from_linear(world.shown)
+    frames = [turned(still, TURN * step) for step in range(count + WARM_UP)]
+    pipeline, scene = pipelines.of(still), balls_scene(lighting)
     state = {"light": pipeline.render(frames[0], scene).light, "index": 0}
 
     def one() -> None:
@@ -113,8 +116,3 @@ def live_times(pipelines: Pipelines, world: World, lighting: Lighting, count: in
         state["index"] = index + 1
 
     return timed(one, count, WARM_UP)
-
-
-def _turned(frame: YuvFrame, pixels: int) -> YuvFrame:
-    return YuvFrame(np.roll(frame.y, pixels, axis=1), np.roll(frame.u, pixels // 2, axis=1), np.roll(frame.v, pixels // 2, axis=1),
-                    frame.format)

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.color import YuvFormat, linear_from_srgb, srgb_from_linear
 from renderer.equirectangular import pixel_directions, solid_angles
-from renderer.frame import YuvFrame
 from renderer.light.detection import Light
+from server.bench.frames import direction
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 SUBSAMPLES = 8      # a side of a pixel at the edge of a disc
-WHITE_AT = 0.2      # linear display light of the median, as a camera exposes
+MIDDLE_GREY = 0.2   # linear display light of the median, as a camera exposes
 
 
 @dataclass(frozen=True)
@@ -28,16 +28,15 @@ class World:
     radiance: Array32
     lights: tuple[Light, ...]
 
-    @property
+    @cached_property
     def exposure(self) -> float:
         """Display light (linear) by radiance."""
-        return WHITE_AT / float(np.median(self.sky.mean(axis=2)))
+        return MIDDLE_GREY / float(np.median(self.sky.mean(axis=2)))
 
-
-def direction(azimuth_deg: float, elevation_deg: float) -> Array:
-    """Unit vector; azimuth 0 is forward, positive to the right."""
-    azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
-    return np.array([np.cos(elevation) * np.sin(azimuth), np.sin(elevation), -np.cos(elevation) * np.cos(azimuth)])
+    @cached_property
+    def shown(self) -> Array:
+        """(height, width, 3) linear display light in its camera's picture, clipped at white."""
+        return np.minimum(self.exposure * self.radiance.astype(np.float64), 1.0)
 
 
 def lamp(azimuth_deg: float, elevation_deg: float, radius_deg: float, irradiance: float,
@@ -103,22 +102,3 @@ def worlds(size: tuple[int, int], names: tuple[str, ...] = ("sun", "overcast", "
                           lamp(20, 84, 3.0, 0.4), lamp(-130, 45, 2.5, 0.55))),
     }
     return [world(name, *known[name], size) for name in names]
-
-
-def camera_frame(radiance: NDArray[np.floating], exposure: float) -> YuvFrame:
-    """What a camera shows of (height, width, 3) radiance: exposed, clipped at white, sRGB, BT.709 in limited range, 4:2:0."""
-    layout = YuvFormat()
-    matrix = layout.yuv_from_rgb()
-    codes = srgb_from_linear(np.clip(radiance * exposure, 0.0, 1.0)) @ matrix[:, :3].T + matrix[:, 3]
-    height, width = codes.shape[:2]
-    chroma = codes[..., 1:].reshape(height // 2, 2, width // 2, 2, 2).mean(axis=(1, 3))
-    y, u, v = (np.clip(np.round(255 * plane), 0, 255).astype(np.uint8) for plane in (codes[..., 0], chroma[..., 0], chroma[..., 1]))
-    return YuvFrame(y, u, v, layout)
-
-
-def shown(frame: YuvFrame) -> Array:
-    """(height, width, 3) linear display light of a frame's codes."""
-    matrix = frame.format.rgb_from_yuv()
-    chroma = [plane.repeat(2, axis=0).repeat(2, axis=1) for plane in (frame.u, frame.v)]
-    signal = np.stack([frame.y, *chroma], axis=-1) / 255.0 @ matrix[:, :3].T + matrix[:, 3]
-    return linear_from_srgb(np.clip(signal, 0.0, 1.0))
