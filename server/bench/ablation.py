@@ -1,8 +1,8 @@
 """Truth everywhere except in one stage: what share each stage has in the error of the whole.
 
-A stage is fed with truth, its output stands where it belongs in an otherwise true picture: what light detection finds lights the float64
-reference; a ball that is shaded by our diffuse or glossy stage under the true light, the ground with our shadows under the true light, or
-with our compositing of a shadow that is taken for true, is put into the true picture.
+A stage is fed with truth, and its output stands where it belongs in an otherwise true picture. What light detection finds
+lights the float64 reference; a ball that the diffuse or the glossy stage shades under the true light, the ground with our
+shadows under the true light, or with a shadow composited that is taken for true, is put into the true picture.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from server.bench.worlds import World, worlds
 
 Array = NDArray[np.float64]
 STAGE = "ablation"
-MEASURE = ("the same pixels and units as of the whole: truth everywhere but in one stage. `share`: of the sum of the squares of all stages' "
-           "errors. `lights` and `all`: from the radiance map; `lights, camera` and `all, camera`: from its 8 bit picture")
+MEASURE = ("the same pixels and units as of the whole: truth everywhere but in one stage. `share`: of the sum of the squares "
+           "of all stages' errors. From the radiance map; `camera`: from its 8 bit picture")
 REGION_OF = {"diffuse": "diffuse", "glossy": "glossy", "shadows": "ground"}
 MARKS: tuple[Mark, ...] = ("default", "paper")
 
@@ -55,7 +55,8 @@ def ablation_rows(pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
                 yield Row(STAGE, name, world.name, by_region(found, expected), params=mark, mark=mark, extra={"share": None})
 
 
-def _stages(pipelines: Pipelines, world: World, pixels: Pixels, truth: dict[str, Array], mark: Mark, texels: int) -> dict[str, Array]:
+def _stages(pipelines: Pipelines, world: World, pixels: Pixels, truth: dict[str, Array], mark: Mark,
+            texels: int) -> dict[str, Array]:
     """Errors of the picture by the one stage that is not true."""
     methods = PRESETS[mark]
     errors = {"lights": _lights(pipelines, world, pixels, truth, methods["lights"], texels),
@@ -63,7 +64,8 @@ def _stages(pipelines: Pipelines, world: World, pixels: Pixels, truth: dict[str,
     for stage, region in REGION_OF.items():
         drawn = _with_true_light(pipelines, world, Lighting.model_validate({stage: methods[stage]}))
         errors[stage] = by_region({**truth, region: drawn[pixels.indices[region]]}, truth)
-    errors["composite, camera"] = _composite(pipelines, world, pixels, truth, methods["composite"])
+    errors["composite"] = _composite(pipelines, world, pixels, truth, methods["composite"])
+    errors["composite, camera"] = _composite_of_camera(pipelines, world, pixels, truth, methods["composite"])
     return errors
 
 
@@ -77,7 +79,8 @@ def _lights(pipelines: Pipelines, world: World, pixels: Pixels, truth: dict[str,
     return by_region(lit, truth)
 
 
-def _lights_of_camera(pipelines: Pipelines, world: World, pixels: Pixels, truth: dict[str, Array], method: str, texels: int) -> Array:
+def _lights_of_camera(pipelines: Pipelines, world: World, pixels: Pixels, truth: dict[str, Array], method: str,
+                      texels: int) -> Array:
     """The light is in units of the tone curve; so is what it lights, until it is shown."""
     frame = picture(world)
     light = pipelines.light(frame, Lighting.model_validate({"lights": method}))
@@ -98,7 +101,8 @@ def true_light(world: World, lighting: Lighting) -> FrameLight:
     soft = np.asarray(resample(sky, 64, 128), dtype=np.float32)
     lights = tuple(replace(light, id=index + 1) for index, light in enumerate(world.lights))
     coefficients = project(soft)
-    return FrameLight(Detection(lights, sky, sky, 0.0), coefficients, soft, diffuse_map(lighting.method("diffuse"), soft, coefficients))
+    irradiance = diffuse_map(lighting.method("diffuse"), soft, coefficients)
+    return FrameLight(Detection(lights, sky, sky, 0.0), coefficients, soft, irradiance)
 
 
 def _with_true_light(pipelines: Pipelines, world: World, lighting: Lighting) -> Array:
@@ -110,6 +114,14 @@ def _with_true_light(pipelines: Pipelines, world: World, lighting: Lighting) -> 
 
 
 def _composite(pipelines: Pipelines, world: World, pixels: Pixels, truth: dict[str, Array], method: str) -> Array:
+    """The ground by a method, less the ground times our ratio, which is exact on a radiance map, for the same shadow."""
+    indices = pixels.indices["ground"]
+    found, ours = (_with_true_light(pipelines, world, Lighting.model_validate({"composite": one}))[indices]
+                   for one in (method, "ratio"))
+    return by_region({**truth, "ground": truth["ground"] + found - ours}, truth)
+
+
+def _composite_of_camera(pipelines: Pipelines, world: World, pixels: Pixels, truth: dict[str, Array], method: str) -> Array:
     """The ground by a method, less the codes before times what our ratio is on a frame of ones."""
     indices = pixels.indices["ground"]
     lighting = Lighting.model_validate({"composite": method})

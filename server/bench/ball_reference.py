@@ -1,10 +1,11 @@
 """Two balls on the ground under a known environment, in float64: what each pixel should be, without a path tracer.
 
-The light of every texel is summed with visibility by ray and sphere; discs by points on them, their shadow on the ground by closed form
-(`ball_shadow.py`). A ray that goes down meets the ground where it is: the panorama's radiance there times the ratio of light that the balls
-leave, from a table; one that meets the other ball sees its radiance, of the diffuse one from a table by its normal, of the metal by the map
-prefiltered along the mirrored ray (second order: it lights nothing but its neighbours). Light goes round twice.
-The reflectance is the renderer's own (glTF metallic-roughness, GGX, Fdez-Aguera's compensation), so that what differs is light.
+The light of every texel is summed with visibility by ray and sphere; discs by points on them, their shadow on the ground by
+closed form (`ball_shadow.py`). A ray that goes down meets the ground where it is: the panorama's radiance there times the ratio
+of light that the balls leave, from a table; one that meets the other ball sees its radiance, of the diffuse one from a table by
+its normal, of the metal by the map prefiltered along the mirrored ray (second order: it lights nothing but its neighbours).
+Light goes round twice. The reflectance is the renderer's own (glTF metallic-roughness, GGX, Fdez-Aguera's compensation), so
+that what differs is light.
 """
 
 from __future__ import annotations
@@ -213,7 +214,8 @@ class _Reflectance:
         n_dot_h = np.clip((n_dot_l + n_dot_v) / (2 * v_dot_h), 0.0, 1.0)
         a2 = self._alpha2
         distribution = a2 / (np.pi * (n_dot_h**2 * (a2 - 1) + 1) ** 2)
-        visibility = 0.5 / np.maximum(n_dot_l * np.sqrt(n_dot_v**2 * (1 - a2) + a2) + n_dot_v * np.sqrt(n_dot_l**2 * (1 - a2) + a2), 1e-12)
+        smith = n_dot_l * np.sqrt(n_dot_v**2 * (1 - a2) + a2) + n_dot_v * np.sqrt(n_dot_l**2 * (1 - a2) + a2)
+        visibility = 0.5 / np.maximum(smith, 1e-12)
         return distribution * visibility * n_dot_l, (1 - v_dot_h) ** 5
 
 

@@ -30,7 +30,8 @@ def hidden_share(points: Array, centre: Array, radius: float, light: Light) -> A
     ring_sine = np.sqrt((nodes + 1) / 2) * np.sin(light.angular_radius)
     ring_cosine = np.sqrt(1 - ring_sine**2)
     # hidden where ring_cosine cosine + ring_sine sine cos(phi) > cos(cap), phi from the ball's side of the ring
-    edge = np.arccos(np.clip((np.cos(cap)[:, None] - cosine[:, None] * ring_cosine) / np.maximum(sine[:, None] * ring_sine, 1e-300), -1, 1))
+    missing = np.cos(cap)[:, None] - cosine[:, None] * ring_cosine
+    edge = np.arccos(np.clip(missing / np.maximum(sine[:, None] * ring_sine, 1e-300), -1, 1))
     across = towards - cosine[:, None] * light.direction
     tilt = (across @ UP) / np.maximum(np.linalg.norm(across, axis=1), 1e-300)
     height = float(light.direction[1])

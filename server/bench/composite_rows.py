@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +22,11 @@ from server.bench.rows import Mark, Row, relative, timed
 
 Array = NDArray[np.float64]
 STAGE = "composite"
-MEASURE = ("linear display light of the ground in a shadow, less the picture without it times the shadow's ratio; in units of the rms of "
-           "that. Tiles of albedo 0.08 to 0.8, by the exposure at which the picture shows the ground's albedo itself")
+MEASURE = ("linear display light of the ground in a shadow, less the picture without it times the shadow's ratio; in units of "
+           "the rms of that. Tiles of albedo 0.08 to 0.8, by the exposure at which the picture shows the ground's albedo "
+           "itself")
 CAMERA_HEIGHT, SUN_SHARE = 1.6, 0.7
+SCENE = "plate over tiles"
 ALBEDOS = (0.08, 0.2, 0.4, 0.8)
 EXPOSURES = (0.5, 1.0, 1.2)     # 1: what the additive method takes for granted
 METHODS: tuple[tuple[str, Mark], ...] = (("ratio", "default"), ("additive", "paper"))
@@ -46,10 +49,10 @@ def composite_rows(pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
             found = pipelines.of(codes).render(codes, scene, light=light).frame
             assert isinstance(found, RgbFrame)
             pipeline = pipelines.of(live)
-            times = timed(lambda: pipeline.render(live, scene, light=light), effort.repeats)     # noqa: B023
+            times = timed(partial(pipeline.render, live, scene, light=light), effort.repeats)
             errors = relative(linear_from_srgb(found.rgb[inside] / 255.0), expected)
-            yield Row(STAGE, method, f"exposure {exposure}", errors, times, mark=mark)
-        yield Row(STAGE, "no shadow", f"exposure {exposure}", relative(before, expected), mark="null")
+            yield Row(STAGE, method, SCENE, errors, times, f"exposure {exposure}", mark)
+        yield Row(STAGE, "no shadow", SCENE, relative(before, expected), params=f"exposure {exposure}", mark="null")
 
 
 def _tiles(size: tuple[int, int]) -> Array:

@@ -21,8 +21,9 @@ from server.bench.worlds import worlds
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 STAGE = "diffuse"
-MEASURE = ("irradiance over the sphere of normals, as a shader interpolates it in the method's map, less summation over every texel; in "
-           "units of its rms. The map is without its lights, as this stage gets it; `lights in map`: with them, as in Iorns & Rhee")
+MEASURE = ("irradiance over the sphere of normals, as a shader interpolates it in the method's map, less summation over every "
+           "texel; in units of its rms. The map is without its lights, as this stage gets it; `lights in map`: with them, as "
+           "in Iorns & Rhee")
 METHODS: dict[str, Mark] = {"auto": "default", "sh": "", "convolution": "", "map16x8": "", "map32x16": "paper", "map64x32": "",
                             "map128x64": ""}
 ROWS = 64       # of the map that the methods are given
@@ -31,7 +32,9 @@ ROWS = 64       # of the map that the methods are given
 def diffuse_rows(_pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
     normals = random_normals(effort.normals)
     for world in worlds(effort.still, effort.worlds):
-        maps = {"": world.sky, "lights in map": world.radiance} if world.lights else {"": world.sky}
+        maps: dict[str, NDArray[np.floating]] = {"": world.sky}
+        if world.lights:
+            maps["lights in map"] = world.radiance
         for params, radiance in maps.items():
             soft = np.asarray(resample(radiance, ROWS, 2 * ROWS), dtype=np.float32)
             expected = reference_irradiance(radiance.astype(np.float32), normals)
@@ -41,8 +44,8 @@ def diffuse_rows(_pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
                 found = interpolated(work().astype(np.float64), normals)
                 yield Row(STAGE, method, world.name, relative(found, expected), times, params, mark if not params else "")
             mean = (radiance * solid_angles(*radiance.shape[:2])[..., None]).sum(axis=(0, 1)) / 4
-            yield Row(STAGE, "constant ambient", world.name, relative(np.broadcast_to(mean, expected.shape), expected), params=params,
-                      mark="null")
+            errors = relative(np.broadcast_to(mean, expected.shape), expected)
+            yield Row(STAGE, "constant ambient", world.name, errors, params=params, mark="null")
 
 
 def _irradiance(method: str, soft: Array32) -> Array32:

@@ -23,13 +23,17 @@ from server.bench.worlds import World, worlds
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 STAGE = "glossy"
-MEASURE = ("radiance in a GGX lobe (N = V = R) around random directions, less the lobe's integral over every texel of the sky without its "
-           "lights; in units of its rms. Time: what a frame costs for one roughness, 256 x 256 shaded pixels included. `own lobe`: the "
-           "papers' rings against the Phong lobe that they sample")
+MEASURE = ("radiance in a GGX lobe (N = V = R) around random directions, less the lobe's integral over every texel of the sky "
+           "without its lights; in units of its rms. Time: what a frame costs for one roughness, 256 x 256 shaded pixels "
+           "included. `own lobe`: the papers' rings against the Phong lobe that they sample")
 PIXELS = 256        # a side, shaded
 SIZES = (16, 32, 64)
 FULL_SCREEN = "full_screen.vert.glsl"
 UNIT = 9
+HEAD = """#version 430 core
+uniform sampler2D towards;
+uniform float roughness;
+out vec4 found;"""
 RINGS = "void main() { found = vec4(ring_light(texelFetch(towards, ivec2(gl_FragCoord.xy), 0).xyz, roughness), 1.0); }"
 LOOK_UP = """uniform sampler2D lobe_map;
 void main() { found = textureLod(lobe_map, uv_from_direction(texelFetch(towards, ivec2(gl_FragCoord.xy), 0).xyz), 0.0); }"""
@@ -73,8 +77,7 @@ class Probe:
     def __init__(self, context: Context, body: str, includes: tuple[str, ...]) -> None:
         self._context = context
         sources = [load_shader(name).text.split("\n", 1)[1] for name in includes]
-        fragment = "\n".join(["#version 430 core", "uniform sampler2D towards;", "uniform float roughness;", "out vec4 found;", *sources,
-                              body])
+        fragment = "\n".join((HEAD, *sources, body))
         self._program = context.gl.program(vertex_shader=load_shader(FULL_SCREEN).text, fragment_shader=fragment)
         self._triangle = context.gl.vertex_array(self._program, [])
         self._towards = context.texture((PIXELS, PIXELS), 4, "f4", linear=False)

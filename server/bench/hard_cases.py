@@ -1,4 +1,4 @@
-"""Frames on which light is hard to read, each with the answer that is expected. The tests run the same cases, `mr360 bench` reports them."""
+"""Frames on which light is hard to read, each with the answer that is expected. Tests run these cases, `mr360 bench` reports them."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ METHODS = {"default": Lighting(), "threshold": Lighting(lights="threshold", diff
 SMALL = (256, 128)
 
 
-class Missed(AssertionError):
+class MissedError(AssertionError):
     """A case has not given what it must."""
 
 
 def expect(is_so: bool | np.bool_, text: str) -> None:
-    """Raises Missed with that text unless it is so."""
+    """Raises MissedError with that text unless it is so."""
     if not is_so:
-        raise Missed(text)
+        raise MissedError(text)
 
 
 def nearly(found: NDArray[np.floating] | float, expected: NDArray[np.floating] | float, rel: float, what: str,
            least: float = 1e-12) -> None:
-    """Raises Missed unless all values agree within a share of what is expected, or within `least`."""
+    """Raises MissedError unless all values agree within a share of what is expected, or within `least`."""
     found, expected = np.asarray(found, dtype=np.float64), np.asarray(expected, dtype=np.float64)
     worst = float(np.max(np.abs(found - expected) - np.maximum(rel * np.abs(expected), least), initial=-1.0))
     expect(worst <= 0.0, f"{what}: {np.ravel(found)[:3]}, expected {np.ravel(expected)[:3]} within {rel:g}")
 
 
 def light_cases() -> dict[str, Case]:
-    """By name. Each raises Missed when it is not met."""
+    """By name. Each raises MissedError when it is not met."""
     cases: dict[str, Case] = {}
     for method, lighting in METHODS.items():
         for value in (0.0, 1e-40, 1e-30, 1e-6, 0.5, 1.0, 11.8, MAX_RADIANCE):
@@ -176,7 +176,7 @@ def outcomes(pipelines: Pipelines, cases: dict[str, Case]) -> Iterator[tuple[str
     for name, case in cases.items():
         try:
             case(pipelines)
-        except Missed as missed:
+        except MissedError as missed:
             yield name, str(missed)
         except Exception as error:      # whatever it is, the case is not met, and the next one is to be seen as well
             yield name, f"{type(error).__name__}: {error}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,14 +24,15 @@ from server.bench.worlds import World, worlds
 
 Array = NDArray[np.float64]
 STAGE = "lights"
-MEASURE = ("irradiance over the sphere of normals from the lights found and, by summation, what they leave of the map, less that of "
-           "the true sky and discs; in units of its rms. Direction (degrees) and power (share) of the light nearest to each true one")
+MEASURE = ("irradiance over the sphere of normals from the lights found and, by summation, what they leave of the map, less "
+           "that of the true sky and discs; in units of its rms. Direction (degrees) and power of the light nearest to each "
+           "true one")
 STEP = 1 / 30
 FAR = 20.0       # degrees: a light further off is another one
 
 
 def light_rows(pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
-    counts: list[int | str] = [*range(1, 9), "auto"] if effort.name == "full" else [1, 4, "auto"]
+    counts: list[int | Literal["auto"]] = [*range(1, 9), "auto"] if effort.name == "full" else [1, 4, "auto"]
     methods: list[tuple[str, str, Mark, Lighting]] = [("default", "", "default", Lighting()),
                                                      ("threshold", "", "paper", Lighting(lights="threshold"))]
     methods += [("probe", f"{count}", "", Lighting(lights="probe", light_count=count)) for count in counts]
@@ -52,7 +54,7 @@ def exact_irradiance(world: World, normals: Array) -> Array:
 
 
 def ring_cosine(cosine: Array, angular_radius: float) -> Array:
-    """(n,) irradiance of a disc by that on a plane that faces it, exact: around each ring of the disc max(0, cos) has an integral in
+    """(n,) irradiance of a disc by that on a plane that faces it: around each ring of the disc max(0, cos) has an integral in
     closed form; over the rings by quadrature (Gauss-Legendre, 64 nodes in the square of the sine)."""
     nodes, weights = quadrature(64)
     sine2 = (nodes + 1) / 2 * np.sin(angular_radius) ** 2
@@ -92,7 +94,8 @@ def _matches(world: World, detection: Detection) -> dict[str, float | None]:
     if not detection.lights:
         return {"direction_deg": None, "power": None, "missed": float(len(world.lights)), "false": 0.0}
     angles = np.degrees(np.arccos(np.clip(_directions(world.lights) @ _directions(detection.lights).T, -1, 1)))
-    pairs = [(int(true), int(found)) for true, found in zip(*linear_sum_assignment(angles), strict=True) if angles[true, found] < FAR]
+    matched = zip(*linear_sum_assignment(angles), strict=True)
+    pairs = [(int(true), int(found)) for true, found in matched if angles[true, found] < FAR]
     power = [abs(_power(detection.lights[found]) / _power(world.lights[true]) - 1) for true, found in pairs]
     return {"direction_deg": float(np.mean([angles[pair] for pair in pairs])) if pairs else None,
             "power": float(np.mean(power)) if power else None, "missed": float(len(world.lights) - len(pairs)),

@@ -22,8 +22,10 @@ from server.demo.sample_scene import sample_scene
 Array = NDArray[np.float64]
 WARM_UP = 30            # a light that stays the same is believed to after a while
 TURN = 2                # pixels a frame
-IDLE_MS = 0.05          # what takes less is skipped, but for a look whether it is needed
-STAGES = ("place", "upload", "radiance_map", "highlights", "lights", "irradiance", "glossy", "shadows", "objects_and_composite", "write")
+IDLE_MS = 0.02          # what takes less has only looked whether it is needed
+HEADS = {"place": "place", "upload": "upload", "radiance_map": "map", "highlights": "highlights", "lights": "lights",
+         "irradiance": "irradiance", "glossy": "glossy", "shadows": "shadows", "objects_and_composite": "composite",
+         "write": "write"}
 
 
 @dataclass
@@ -36,28 +38,28 @@ class Need:
     stages: list[dict[str, float]] = field(default_factory=list)
     touched: float = 0.0
 
-    def stage_ms(self, name: str) -> float:
-        return float(np.median([frame.get(name, 0.0) for frame in self.stages]))
-
-    @property
-    def skipped(self) -> list[str]:
-        return [name for name in STAGES if self.stage_ms(name) < IDLE_MS]
+    def stages_ms(self) -> dict[str, float | None]:
+        """Median of each stage; None where it did not run."""
+        medians = {name: float(np.median([frame.get(name, 0.0) for frame in self.stages])) for name in HEADS}
+        return {name: milliseconds if milliseconds >= IDLE_MS else None for name, milliseconds in medians.items()}
 
     def as_json(self) -> dict[str, Any]:
         wall, processor = (np.percentile(values, [50, 95]).round(3).tolist() for values in (self.wall, self.processor))
+        stages = self.stages_ms()
         return {"scene": self.name, "frames": len(self.wall), "ms_p50": wall[0], "ms_p95": wall[1], "cpu_ms_p50": processor[0],
-                "cpu_ms_p95": processor[1], "touched_fraction": round(self.touched, 5), "skipped": self.skipped,
-                "stages_ms_p50": {name: round(self.stage_ms(name), 3) for name in STAGES}}
+                "cpu_ms_p95": processor[1], "touched_fraction": round(self.touched, 5),
+                "skipped": [name for name, milliseconds in stages.items() if milliseconds is None],
+                "stages_ms_p50": {name: None if ms is None else round(ms, 3) for name, ms in stages.items()}}
 
 
 def needs(pipelines: Pipelines, effort: Effort) -> Iterator[Need]:
     """From the usual scene to none at all."""
     sun, overcast = worlds(effort.size, ("sun", "overcast"))
     usual = Scene.model_validate(sample_scene())
-    yield _measured(pipelines, "usual: a teapot, a mirror, a box; the light turns", usual, sun, effort.frames, TURN)
-    yield _measured(pipelines, "nothing changes from frame to frame", usual, sun, effort.frames, 0)
-    yield _measured(pipelines, "overcast: no light that casts a shadow", usual, overcast, effort.frames, TURN)
-    yield _measured(pipelines, "only diffuse objects, no ground", _diffuse_only(), sun, effort.frames, TURN)
+    yield _measured(pipelines, "usual: teapot, mirror, box; the light turns", usual, sun, effort.frames, TURN)
+    yield _measured(pipelines, "the same, nothing changes", usual, sun, effort.frames, 0)
+    yield _measured(pipelines, "the same, overcast: no light with a shadow", usual, overcast, effort.frames, TURN)
+    yield _measured(pipelines, "the same, diffuse, without a ground", _diffuse_only(), sun, effort.frames, TURN)
     yield _measured(pipelines, "no objects", Scene(), sun, effort.frames, TURN)
 
 
@@ -102,12 +104,13 @@ def turned(frame: YuvFrame, pixels: int) -> YuvFrame:
 
 
 def needs_table(found: list[Need]) -> Iterator[str]:
-    yield "only what a scene needs: milliseconds of a live frame with reading and preparing the light, wall and processor time"
-    yield f"{'scene':52}{'p50':>8}{'p95':>8}{'cpu p50':>9}{'p95':>8}{'touched':>9}"
+    yield "ONLY WHAT A SCENE NEEDS"
+    yield "milliseconds of a live frame with reading and preparing the light, wall and processor time; then the median of each"
+    yield "stage, `-` for one that did not run"
+    yield (f"{'scene':46}{'p50':>8}{'p95':>8}{'cpu p50':>9}{'p95':>8}{'touched':>9} |"
+           + "".join(f"{name:>11}" for name in HEADS.values()))
     for need in found:
         row = need.as_json()
-        yield (f"{need.name:52}{row['ms_p50']:8.2f}{row['ms_p95']:8.2f}{row['cpu_ms_p50']:9.2f}{row['cpu_ms_p95']:8.2f}"
-               f"{100 * need.touched:8.1f}%")
-        done = ", ".join(f"{name} {need.stage_ms(name):.2f}" for name in STAGES if name not in need.skipped)
-        yield f"    {done}"
-        yield f"    skipped: {', '.join(need.skipped) or 'nothing'}"
+        yield (f"{need.name:46}{row['ms_p50']:8.2f}{row['ms_p95']:8.2f}{row['cpu_ms_p50']:9.2f}{row['cpu_ms_p95']:8.2f}"
+               f"{100 * need.touched:8.1f}% |"
+               + "".join(f"{'-':>11}" if ms is None else f"{ms:11.2f}" for ms in need.stages_ms().values()))

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 
 from server.bench.rows import Row, pooled
 
@@ -69,5 +70,9 @@ def _draw(axis: Axes, stage: str, rows: list[Row]) -> None:
         axis.annotate("nothing done", (0.99, error), xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=6,
                       color="#7f8c8d")
     axis.set(title=stage, xscale="log", yscale="log", xlabel="median time, ms", ylabel="error, rms")
-    axis.margins(0.18)
+    axis.margins(0.2)
+    for side in (axis.xaxis, axis.yaxis):
+        side.set_major_formatter(LogFormatter(minor_thresholds=(1.5, 0.4)))
+        side.set_minor_formatter(LogFormatter(minor_thresholds=(1.2, 0.4)))
+    axis.tick_params(which="both", labelsize=7)
     axis.grid(visible=True, which="major", linewidth=0.3)

@@ -21,15 +21,18 @@ from server.bench.worlds import worlds
 
 Array = NDArray[np.float64]
 STAGE = "radiance map"
-MEASURE = ("texels of the map of a camera's frame, less the mean by solid angle of its tone mapped pixels in float64; in units of the "
-           "map's rms. The papers' map is the whole frame as half floats with mip levels, compared where a level is as large")
+MEASURE = ("texels of the map of a camera's frame, less the mean by solid angle of its tone mapped pixels in float64; in units "
+           "of the map's rms. The papers' map is the whole frame as half floats with mip levels, compared where a level is as "
+           "large")
+VARIANTS: tuple[tuple[str, Mark, bool, int], ...] = (
+    ("", "default", True, 1), ("half the size", "", True, 2), ("exact decoding", "", False, 1))
 
 
 def radiance_rows(pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
     for world in worlds(effort.size, effort.worlds):
         frame = yuv_from_linear(world.shown)
         exact = radiance_from_linear(linear_from_yuv(frame))
-        for params, mark, packed, divisor in (("", "default", True, 1), ("1/2 size", "", True, 2), ("exact decoding", "", False, 1)):
+        for params, mark, packed, divisor in VARIANTS:
             yield _reduced(pipelines, frame, exact, world.name, effort, params, mark, packed, divisor)
         yield _papers(pipelines, frame, exact, world.name, effort)
         expected = resample(exact, *map_size(frame.size)[::-1])

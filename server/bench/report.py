@@ -118,9 +118,11 @@ def measured(effort: Effort, say: Callable[[str], object]) -> Report:
 
 
 def _heading(machine: dict[str, Any], effort: Effort) -> tuple[str, ...]:
-    return (f"{machine['processors']} x {machine['cpu']}, {machine['renderer']}, LP_NUM_THREADS {machine['LP_NUM_THREADS'] or 'unset'}",
-            f"{effort.name}: stages {effort.repeats} times, live sequences {effort.frames} frames of {effort.size[0]}x{effort.size[1]}; "
-            f"worlds {', '.join(effort.worlds)}; load {machine['load_average_start']:.2f}, {machine['date']}")
+    threads = machine["LP_NUM_THREADS"] or "unset"
+    return (f"{machine['processors']} x {machine['cpu']}, {machine['renderer']}, LP_NUM_THREADS {threads}",
+            f"{effort.name}: stages {effort.repeats} times, live sequences {effort.frames} frames of "
+            f"{effort.size[0]}x{effort.size[1]}, worlds {', '.join(effort.worlds)}, "
+            f"load {machine['load_average_start']:.2f}, {machine['date']}")
 
 
 def table(stage: str, measure: str, rows: list[Row]) -> Iterator[str]:

@@ -69,7 +69,7 @@ def _means(given: list[dict[str, float | None]]) -> dict[str, float | None]:
     return found
 
 
-def relative(found: Array, expected: Array) -> Array:
+def relative(found: NDArray[np.floating], expected: NDArray[np.floating]) -> Array:
     """Found less expected, in units of the root mean square of what was expected."""
     return np.asarray((found - expected) / max(float(np.sqrt((np.asarray(expected) ** 2).mean())), 1e-300))
 

@@ -21,8 +21,8 @@ from server.bench.rows import Mark, Row, timed
 
 Array = NDArray[np.float64]
 STAGE = "shadows"
-MEASURE = ("what is left of the ground's light around a ball's shadow, less the closed form; 1 is the open ground. Time: a live frame "
-           "with all that it needs of the ball. `still`: all has settled; `moving`: the light moves by 12° a second")
+MEASURE = ("what is left of the ground's light around a ball's shadow, less the closed form; 1 is the open ground. Time: a "
+           "live frame with all that it needs of the ball. `still`: all has settled; `moving`: the light moves by 12° a second")
 CAMERA_HEIGHT = 1.6
 CENTRE, RADIUS = np.array([0.2, -1.0, -2.4]), 0.35
 MARGIN = 1.4        # times the ball, whose shadow with that margin is where it is looked at
@@ -45,7 +45,7 @@ CASES = (Case("sun 0.27°", 0.2665), Case("disc 2°", 2.0), Case("disc 7°, low"
 
 def shadow_rows(pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
     for case in CASES if effort.name == "full" else (CASES[1], CASES[3]):
-        light = _light(case)
+        light, kind = _light(case), "disc" if case.radius_deg is not None else "sky"
         pixels, points = _ground(effort.size, light)
         expected = 1.0 - _hidden(points, CENTRE, RADIUS, light)
         for method, mark in METHODS:
@@ -54,10 +54,10 @@ def shadow_rows(pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
                 lights = _sequence(light, effort.repeats + WARM_UP, moving=state == "moving")
                 times = _times(pipelines, effort.size, scene, lights)
                 errors = _ratio(pipelines, effort.size, scene, lights[-SETTLED:])[pixels] - expected
-                yield Row(STAGE, method, case.name, errors, times, state, mark if state == "moving" else "")
+                yield Row(STAGE, method, case.name, errors, times, f"{kind}, {state}", mark if state == "moving" else "")
         lights = _sequence(light, effort.repeats + WARM_UP, moving=True)
         times = _times(pipelines, effort.size, _scene("area", catcher=False), lights)
-        yield Row(STAGE, "no shadow", case.name, 1.0 - expected, times, mark="null")
+        yield Row(STAGE, "no shadow", case.name, 1.0 - expected, times, kind, "null")
 
 
 def _light(case: Case) -> FrameLight:

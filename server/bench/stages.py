@@ -118,8 +118,10 @@ def _decoded(clip: Path, count: int, samples: _Samples) -> Iterator[VideoFrame]:
 
 def frame_path_table(report: dict[str, Any]) -> Iterator[str]:
     """The frame path as text."""
-    yield (f"the frame path at {report['size'][0]}x{report['size'][1]}, {report['frames']} frames after {WARM_UP_FRAMES} of warm-up: "
-           "milliseconds by stage")
+    width, height = report["size"]
+    yield "THE FRAME PATH"
+    yield (f"the demo's clip of {width}x{height} through decoder, renderer and encoder, {report['frames']} frames; milliseconds by "
+           "stage")
     for name, rows in report["scenes"].items():
         yield f"{'scene ' + name:26}{'wall p50':>10}{'p95':>8}{'max':>8}{'cpu p50':>10}{'p95':>8}"
         for row, figures in rows.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -16,15 +17,16 @@ from server.bench.effort import Effort
 from server.bench.frames import yuv_from_linear
 from server.bench.needs import turned
 from server.bench.pipelines import Pipelines
-from server.bench.rows import Mark, Row, relative, timed
+from server.bench.rows import Mark, Row, relative
 from server.bench.whole_scene import BALLS, REGIONS, Pixels, balls_scene, environment, looked_at, true_radiance
 from server.bench.worlds import World, worlds
 
 Array = NDArray[np.float64]
 STAGE = "whole"
-MEASURE = ("pixels of a diffuse ball, a glossy metal one (roughness 0.4) and the ground around them, as many of each, less float64 summation; "
-           "each part in units of its own rms. `radiance`: from the radiance map; `camera`: from its 8 bit picture, clipped at white, as "
-           "linear display light. Time: a live frame in a turning world: read and prepare the light, then render")
+MEASURE = ("pixels of a diffuse ball, a glossy metal one (roughness 0.4) and the ground around them, as many of each, less "
+           "float64 summation; each part in units of its own rms. `radiance`: from the radiance map; `camera`: from its 8 bit "
+           "picture, clipped at white, as linear display light. Time: a live frame in a turning world: read and prepare the "
+           "light, then render")
 WARM_UP = 8
 TURN = 2        # pixels a frame
 INPUTS = ("radiance", "camera")
@@ -49,11 +51,11 @@ def whole_rows(pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
             for given in INPUTS:
                 found = rendered(pipelines, world, lighting, pixels, given)
                 expected = truth if given == "radiance" else displayed(truth, world)
-                yield Row(STAGE, name, world.name, by_region(found, expected), times if given == "camera" else np.zeros(0), given, mark)
-        for given in INPUTS:
-            nothing, expected = (flat_light(world, pixels), truth) if given == "radiance" else (
-                displayed(flat_light(world, pixels), world), displayed(truth, world))
-            yield Row(STAGE, "constant ambient", world.name, by_region(nothing, expected), params=given, mark="null")
+                yield Row(STAGE, name, world.name, by_region(found, expected), times, given, mark)
+        nothing = flat_light(world, pixels)
+        yield Row(STAGE, "constant ambient", world.name, by_region(nothing, truth), params=INPUTS[0], mark="null")
+        yield Row(STAGE, "constant ambient", world.name, by_region(displayed(nothing, world), displayed(truth, world)),
+                  params=INPUTS[1], mark="null")
 
 
 def by_region(found: dict[str, Array], expected: dict[str, Array]) -> Array:
@@ -106,13 +108,11 @@ def live_times(pipelines: Pipelines, world: World, lighting: Lighting, count: in
     still = yuv_from_linear(world.shown)
     frames = [turned(still, TURN * step) for step in range(count + WARM_UP)]
     pipeline, scene = pipelines.of(still), balls_scene(lighting)
-    state = {"light": pipeline.render(frames[0], scene).light, "index": 0}
-
-    def one() -> None:
-        index = state["index"]
-        pipeline.render(frames[index], scene, light=state["light"], moment=index / 30)
-        state["light"], _ = pipeline.read_light(index / 30, lighting)
-        pipeline.prepare(state["light"])
-        state["index"] = index + 1
-
-    return timed(one, count, WARM_UP)
+    light, times = pipeline.render(frames[0], scene).light, []
+    for index, frame in enumerate(frames):
+        start = time.perf_counter()
+        pipeline.render(frame, scene, light=light, moment=index / 30)
+        light, _ = pipeline.read_light(index / 30, lighting)
+        pipeline.prepare(light)
+        times.append((time.perf_counter() - start) * 1e3)
+    return np.array(times[WARM_UP:])

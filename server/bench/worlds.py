@@ -66,9 +66,9 @@ def disc_coverage(light: Light, size: tuple[int, int]) -> Array:
     azimuth = ((columns[:, None, None] + offsets) / width - 0.5) * 2 * np.pi
     x, y, z = np.broadcast_arrays(np.sin(polar) * np.sin(azimuth), np.cos(polar), -np.sin(polar) * np.cos(azimuth))
     inside = np.stack([x, y, z], axis=-1) @ light.direction > np.cos(light.angular_radius)
-    covered = np.zeros(width * height)
-    covered[near] = (inside * np.sin(polar)).sum(axis=(1, 2)) / np.broadcast_to(np.sin(polar), inside.shape).sum(axis=(1, 2))
-    covered = covered.reshape(height, width)
+    flat = np.zeros(width * height)
+    flat[near] = (inside * np.sin(polar)).sum(axis=(1, 2)) / np.broadcast_to(np.sin(polar), inside.shape).sum(axis=(1, 2))
+    covered = flat.reshape(height, width)
     return np.asarray(covered * (light.solid_angle / float((covered * solid_angles(height, width)).sum())))
 
 
@@ -78,8 +78,8 @@ def clear_sky(d: Array) -> Array:
 
 
 def overcast_sky(d: Array) -> Array:
-    """The CIE's standard overcast sky over a grey ground."""
-    return np.where(d[..., 1] >= 0, (1 + 2 * np.maximum(d[..., 1], 0.0)) / 3, 0.22)
+    """The CIE's standard overcast sky, a third brighter to one side, over a grey ground."""
+    return np.where(d[..., 1] >= 0, (1 + 2 * np.maximum(d[..., 1], 0.0)) / 3 * (1 + 0.15 * d[..., 0]), 0.22)
 
 
 def walls(d: Array) -> Array:
