@@ -40,7 +40,7 @@ MARKS: tuple[Mark, ...] = ("default", "paper")
 
 def ablation_rows(pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
     pixels = looked_at(effort.size, effort.pixels)
-    for world in worlds(effort.size, effort.worlds):
+    for world in worlds(effort.size, effort.whole_worlds):
         truth = true_radiance(environment(world.sky, world.lights, world.sky), pixels, _flat(world.radiance), effort.texels)
         for mark in MARKS:
             errors = _stages(pipelines, world, pixels, truth, mark, effort.texels)

@@ -13,7 +13,7 @@ from renderer.light.diffuse import diffuse_map
 from renderer.light.irradiance import project
 from renderer.light.specular import resample
 from server.bench.effort import Effort
-from server.bench.light_reference import interpolated, random_normals, reference_irradiance
+from server.bench.light_reference import interpolated, random_normals, summed_irradiance
 from server.bench.pipelines import Pipelines
 from server.bench.rows import Mark, Row, relative, timed
 from server.bench.worlds import worlds
@@ -37,7 +37,7 @@ def diffuse_rows(_pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
             maps["lights in map"] = world.radiance
         for params, radiance in maps.items():
             soft = np.asarray(resample(radiance, ROWS, 2 * ROWS), dtype=np.float32)
-            expected = reference_irradiance(radiance.astype(np.float32), normals)
+            expected = summed_irradiance(radiance, normals)
             for method, mark in METHODS.items():
                 work = partial(_irradiance, method, soft)
                 times = timed(work, effort.repeats)

@@ -17,6 +17,7 @@ class Effort:
     frames: int
     repeats: int
     worlds: tuple[str, ...]
+    whole_worlds: tuple[str, ...]
     roughnesses: tuple[float, ...]
     normals: int
     directions: int
@@ -26,6 +27,7 @@ class Effort:
     clip_frames: int
 
 
-FULL = Effort("full", (1024, 512), (1024, 512), 200, 200, ("sun", "overcast", "room", "lamps"), (0.2, 0.35, 0.5, 0.8), 1000, 300,
+FULL = Effort("full", (1024, 512), (1024, 512), 200, 200, ("sun", "overcast", "room", "lamps"),
+              ("sun", "overcast", "room", "lamps"), (0.2, 0.35, 0.5, 0.8), 1000, 300,
               300, 128, (2048, 30), 200)
-QUICK = Effort("quick", (1024, 512), (512, 256), 20, 16, ("sun", "room"), (0.25, 0.6), 400, 100, 60, 48, (1024, 15), 20)
+QUICK = Effort("quick", (1024, 512), (512, 256), 20, 16, ("sun", "room"), ("sun",), (0.25, 0.6), 400, 100, 60, 48, (1024, 15), 20)

@@ -1,4 +1,4 @@
-"""Frames on which light is hard to read, each with the answer that is expected. Tests run these cases, `mr360 bench` reports them."""
+"""Frames on which light is hard to read, each with its expected answer. Tests run these cases, `mr360 bench` reports them."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def nearly(found: NDArray[np.floating] | float, expected: NDArray[np.floating] |
            least: float = 1e-12) -> None:
     """Raises MissedError unless all values agree within a share of what is expected, or within `least`."""
     found, expected = np.asarray(found, dtype=np.float64), np.asarray(expected, dtype=np.float64)
-    worst = float(np.max(np.abs(found - expected) - np.maximum(rel * np.abs(expected), least), initial=-1.0))
+    worst = float(np.max(np.abs(found - expected) - np.maximum(rel * np.abs(expected), least)))
     expect(worst <= 0.0, f"{what}: {np.ravel(found)[:3]}, expected {np.ravel(expected)[:3]} within {rel:g}")
 
 

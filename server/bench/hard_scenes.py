@@ -1,4 +1,4 @@
-"""Scenes that stand in no textbook, each with the answer that is expected. Tests run these cases, `mr360 bench` reports them."""
+"""Scenes that stand in no textbook, each with its expected answer. Tests run these cases, `mr360 bench` reports them."""
 
 from __future__ import annotations
 

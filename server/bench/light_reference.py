@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 SIZE = (512, 256)
 NORMALS = 2000
+SUMMED_ROWS = 256
 
 
 def given_maps(folder: Path | None) -> Iterator[tuple[str, Array32]]:
@@ -72,6 +73,12 @@ def reference_irradiance(radiance: Array32, normals: Array) -> Array:
     for row in range(height):
         total += np.maximum(normals @ directions[row].T, 0.0) @ power[row]
     return total
+
+
+def summed_irradiance(radiance: NDArray[np.floating], normals: Array) -> Array:
+    """The same over the texels of a map of at most SUMMED_ROWS rows that has the same power."""
+    rows = min(radiance.shape[0], SUMMED_ROWS)
+    return reference_irradiance(np.asarray(resample(radiance, rows, 2 * rows), dtype=np.float32), normals)
 
 
 def light_irradiance(light: FrameLight, normals: Array) -> Array:

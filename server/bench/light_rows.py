@@ -17,7 +17,7 @@ from renderer.light.irradiance import disc_cosine
 from renderer.scene import Lighting
 from server.bench.ball_shadow import quadrature
 from server.bench.effort import Effort
-from server.bench.light_reference import random_normals, reference_irradiance
+from server.bench.light_reference import random_normals, summed_irradiance
 from server.bench.pipelines import Pipelines
 from server.bench.rows import Mark, Row, relative
 from server.bench.worlds import World, worlds
@@ -50,7 +50,7 @@ def light_rows(pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
 def exact_irradiance(world: World, normals: Array) -> Array:
     """(n, 3) from the sky by summation and from the discs by `ring_cosine`."""
     discs = (ring_cosine(normals @ light.direction, light.angular_radius)[:, None] * light.irradiance for light in world.lights)
-    return reference_irradiance(world.sky.astype(np.float32), normals) + sum(discs, np.zeros((len(normals), 3)))
+    return summed_irradiance(world.sky, normals) + sum(discs, np.zeros((len(normals), 3)))
 
 
 def ring_cosine(cosine: Array, angular_radius: float) -> Array:
@@ -69,7 +69,7 @@ def ring_cosine(cosine: Array, angular_radius: float) -> Array:
 
 def detected_irradiance(detection: Detection, normals: Array) -> Array:
     """(n, 3) from what a detection leaves of the map and its lights, as surfaces are lit."""
-    found = reference_irradiance(np.asarray(detection.soft, dtype=np.float32), normals)
+    found = summed_irradiance(detection.soft, normals)
     for light in detection.lights:
         if not light.is_wide:
             found += disc_cosine(normals @ light.direction, light.angular_radius)[:, None] * light.irradiance

@@ -17,24 +17,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.equirectangular import pixel_directions, solid_angles
+from renderer.frame import RadianceFrame
 from renderer.gl import Context
 from renderer.light.detection import Light
 from renderer.light.inverse_tone_mapping import WEIGHTS
 from renderer.light.specular import resample
 from renderer.scene import Lighting
-from server.bench.light_reference import clean, given_maps
-from server.bench.light_tables import irradiance_errors, rms
+from server.bench.light_reference import clean, given_maps, light_irradiance, random_normals, summed_irradiance
+from server.bench.light_tables import rms
 from server.bench.pipelines import Pipelines
+from server.bench.rows import relative
 from server.bench.whole_rows import by_region, displayed, live_times, rendered
 from server.bench.whole_scene import environment, looked_at, true_radiance
 from server.bench.worlds import World
 
 Array = NDArray[np.float64]
 SIZE = (1024, 512)
-FRAMES, PIXELS, TEXELS = 120, 160, 96
+FRAMES, PIXELS, TEXELS, NORMALS = 120, 160, 96, 1000
 LIGHT_ROWS = 256            # of the map whose brightest texels are summed one by one
 MOST_LIGHTS = 48
-LEAST_SHARE = 5e-4          # of the map's power
+LEAST_SHARE = 2e-3          # of the map's power
 PRESETS = ("default", "paper")
 
 
@@ -74,7 +76,7 @@ def main() -> int:
     return 0
 
 
-def preset_table(pipelines: Pipelines, folder: Path, frames: int) -> Iterator[str]:
+def preset_table(pipelines: Pipelines, folder: Path, frames: int, pixels: int = PIXELS, texels: int = TEXELS) -> Iterator[str]:
     yield ("both presets by map: relative rms of irradiance, of the picture from the map, of that from its 8 bit picture, %; "
            f"milliseconds a live frame of {SIZE[0]}x{SIZE[1]}, {frames} frames")
     heads = "".join(f"{name:>9}" for name in ("irrad.", "picture", "camera", "p50", "p95"))
@@ -82,26 +84,28 @@ def preset_table(pipelines: Pipelines, folder: Path, frames: int) -> Iterator[st
     yield f"{'':26} |{heads} |{heads} | and less time"
     verdicts = []
     for name, radiance in given_maps(folder):
-        outcomes = compared(pipelines, world_of(name, radiance), frames)
+        outcomes = compared(pipelines, world_of(name, radiance), frames, pixels, texels)
         verdicts.append(outcomes["default"].beats(outcomes["paper"]))
         yield f"{name:26} |{outcomes['default'].columns()} |{outcomes['paper'].columns()} | {'yes' if verdicts[-1] else 'no'}"
     yield f"{sum(verdicts)} of {len(verdicts)} maps"
 
 
-def compared(pipelines: Pipelines, world: World, frames: int, pixels: int = PIXELS, texels: int = TEXELS) -> dict[str, Outcome]:
+def compared(pipelines: Pipelines, world: World, frames: int, pixels: int, texels: int) -> dict[str, Outcome]:
     """By preset."""
     chosen = looked_at(SIZE, pixels)
     background = world.radiance.reshape(-1, 3).astype(np.float64)
     truth = true_radiance(environment(world.sky, world.lights, world.sky), chosen, background, texels)
+    normals = random_normals(NORMALS)
+    expected = summed_irradiance(world.radiance, normals)
     outcomes = {}
     for preset in PRESETS:
         lighting = Lighting.model_validate({"preset": preset})
-        _, irradiance = irradiance_errors(pipelines, world.radiance, lighting)
+        light = pipelines.light(RadianceFrame(world.radiance), lighting)
         picture = by_region(rendered(pipelines, world, lighting, chosen, "radiance"), truth)
         camera = by_region(rendered(pipelines, world, lighting, chosen, "camera"), displayed(truth, world))
         times = live_times(pipelines, world, lighting, frames)
         p50, p95 = np.percentile(times, [50, 95])
-        outcomes[preset] = Outcome(rms(irradiance), rms(picture), rms(camera), float(p50), float(p95))
+        outcomes[preset] = Outcome(rms(relative(light_irradiance(light, normals), expected)), rms(picture), rms(camera), float(p50), float(p95))
     return outcomes
 
 

@@ -43,11 +43,11 @@ def variants() -> dict[str, tuple[Lighting, Mark]]:
 
 def whole_rows(pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
     pixels = looked_at(effort.size, effort.pixels)
-    for world in worlds(effort.size, effort.worlds):
+    for world in worlds(effort.size, effort.whole_worlds):
         background = world.radiance.reshape(-1, 3).astype(np.float64)
         truth = true_radiance(environment(world.sky, world.lights, world.sky), pixels, background, effort.texels)
         for name, (lighting, mark) in variants().items():
-            times = live_times(pipelines, world, lighting, effort.frames // len(effort.worlds))
+            times = live_times(pipelines, world, lighting, effort.frames // len(effort.whole_worlds))
             for given in INPUTS:
                 found = rendered(pipelines, world, lighting, pixels, given)
                 expected = truth if given == "radiance" else displayed(truth, world)
