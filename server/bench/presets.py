@@ -105,7 +105,8 @@ def compared(pipelines: Pipelines, world: World, frames: int, pixels: int, texel
         camera = by_region(rendered(pipelines, world, lighting, chosen, "camera"), displayed(truth, world))
         times = live_times(pipelines, world, lighting, frames)
         p50, p95 = np.percentile(times, [50, 95])
-        outcomes[preset] = Outcome(rms(relative(light_irradiance(light, normals), expected)), rms(picture), rms(camera), float(p50), float(p95))
+        irradiance = relative(light_irradiance(light, normals), expected)
+        outcomes[preset] = Outcome(rms(irradiance), rms(picture), rms(camera), float(p50), float(p95))
     return outcomes
 
 
