@@ -51,8 +51,8 @@ def composite_rows(pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
             pipeline = pipelines.of(live)
             times = timed(partial(pipeline.render, live, scene, light=light), effort.repeats)
             errors = relative(linear_from_srgb(found.rgb[inside] / 255.0), expected)
-            yield Row(STAGE, method, SCENE, errors, times, f"exposure {exposure}", mark)
-        yield Row(STAGE, "no shadow", SCENE, relative(before, expected), params=f"exposure {exposure}", mark="null")
+            yield Row(STAGE, method, SCENE, errors, times, condition=f"exposure {exposure}", mark=mark)
+        yield Row(STAGE, "no shadow", SCENE, relative(before, expected), condition=f"exposure {exposure}", mark="null")
 
 
 def _tiles(size: tuple[int, int]) -> Array:

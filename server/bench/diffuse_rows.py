@@ -32,20 +32,21 @@ ROWS = 64       # of the map that the methods are given
 def diffuse_rows(_pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
     normals = random_normals(effort.normals)
     for world in worlds(effort.still, effort.worlds):
-        maps: dict[str, NDArray[np.floating]] = {"": world.sky}
+        maps: dict[str, NDArray[np.floating]] = {"no lights in map": world.sky}
         if world.lights:
             maps["lights in map"] = world.radiance
-        for params, radiance in maps.items():
+        for condition, radiance in maps.items():
             soft = np.asarray(resample(radiance, ROWS, 2 * ROWS), dtype=np.float32)
             expected = summed_irradiance(radiance, normals)
             for method, mark in METHODS.items():
                 work = partial(_irradiance, method, soft)
                 times = timed(work, effort.repeats)
                 found = interpolated(work().astype(np.float64), normals)
-                yield Row(STAGE, method, world.name, relative(found, expected), times, params, mark if not params else "")
+                yield Row(STAGE, method, world.name, relative(found, expected), times, condition=condition,
+                          mark=mark if radiance is world.sky else "")
             mean = (radiance * solid_angles(*radiance.shape[:2])[..., None]).sum(axis=(0, 1)) / 4
             errors = relative(np.broadcast_to(mean, expected.shape), expected)
-            yield Row(STAGE, "constant ambient", world.name, errors, params=params, mark="null")
+            yield Row(STAGE, "constant ambient", world.name, errors, condition=condition, mark="null")
 
 
 def _irradiance(method: str, soft: Array32) -> Array32:

@@ -50,13 +50,14 @@ def glossy_rows(pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
             for rows in SIZES:
                 mark: Mark = "default" if rows == map_rows(roughness) else ""
                 times, found = look_up.measured(soft, roughness, rows, directions, effort.repeats)
-                yield Row(STAGE, f"prefiltered {rows} rows", world.name, relative(found, lobe), times, f"r={roughness}", mark)
+                yield Row(STAGE, f"prefiltered {rows} rows", world.name, relative(found, lobe), times, mark=mark,
+                          condition=f"r={roughness}")
             times, found = rings.measured(world, roughness, directions, effort.repeats)
-            yield Row(STAGE, "rings36", world.name, relative(found, lobe), times, f"r={roughness}", "paper")
+            yield Row(STAGE, "rings36", world.name, relative(found, lobe), times, condition=f"r={roughness}", mark="paper")
             own = weighted_mean(fine, _phong(directions, roughness))
-            yield Row(STAGE, "rings36 own lobe", world.name, relative(found, own), params=f"r={roughness}")
+            yield Row(STAGE, "rings36 own lobe", world.name, relative(found, own), condition=f"r={roughness}")
             yield Row(STAGE, "constant", world.name, relative(np.broadcast_to(fine.mean(axis=(0, 1)), lobe.shape), lobe),
-                      params=f"r={roughness}", mark="null")
+                      condition=f"r={roughness}", mark="null")
     look_up.release()
     rings.release()
 

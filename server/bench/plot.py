@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -15,6 +16,7 @@ LEAST_ERROR = 1e-6      # where what is exact is drawn
 COLUMNS = 3
 COLOURS = {"default": "#c0392b", "paper": "#2471a3", "": "#7f8c8d"}
 MARKERS = {"default": "*", "paper": "D", "": "o"}
+LINES = ("-", "--", "-.", ":")       # by condition
 SIZES = {"default": 130, "paper": 46, "": 26}
 
 
@@ -57,18 +59,13 @@ def front(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
 
 
 def _draw(axis: Axes, stage: str, rows: list[Row]) -> None:
-    points = _points(rows)
-    edge = front([(x, y) for x, y, _ in points])
-    axis.step([x for x, _ in edge], [y for _, y in edge], where="post", color="#2c3e50", linewidth=1, alpha=0.6, zorder=1)
-    for x, y, row in points:
-        axis.scatter([x], [y], s=SIZES[row.mark], c=COLOURS[row.mark], marker=MARKERS[row.mark], zorder=3)
-    for index, (x, y, row) in enumerate(sorted(points, key=lambda point: point[:2])):
-        axis.annotate(row.name, (x, y), xytext=(5, 5 if index % 2 else -9), textcoords="offset points", fontsize=6,
-                      color=COLOURS[row.mark])
-    for error in {max(row.err_rms or 0.0, LEAST_ERROR) for row in rows if row.mark == "null"}:
-        axis.axhline(error, color="#95a5a6", linewidth=0.8, linestyle=":")
-        axis.annotate("nothing done", (0.99, error), xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=6,
-                      color="#7f8c8d")
+    """A front for each condition; what is measured under different ones is not compared."""
+    conditions = list(dict.fromkeys(row.condition for row in rows))
+    for condition, line in zip(conditions, itertools.cycle(LINES), strict=False):
+        chosen = [row for row in rows if row.condition == condition]
+        _draw_condition(axis, condition, line, chosen)
+    if len(conditions) > 1:
+        axis.legend(fontsize=6, loc="upper right", framealpha=0.7)
     axis.set(title=stage, xscale="log", yscale="log", xlabel="median time, ms", ylabel="error, rms")
     axis.margins(0.2)
     for side in (axis.xaxis, axis.yaxis):
@@ -76,3 +73,21 @@ def _draw(axis: Axes, stage: str, rows: list[Row]) -> None:
         side.set_minor_formatter(LogFormatter(minor_thresholds=(1.2, 0.4)))
     axis.tick_params(which="both", labelsize=7)
     axis.grid(visible=True, which="major", linewidth=0.3)
+
+
+def _draw_condition(axis: Axes, condition: str, line: str, rows: list[Row]) -> None:
+    points = _points(rows)
+    edge = front([(x, y) for x, y, _ in points])
+    axis.step([x for x, _ in edge], [y for _, y in edge], where="post", color="#2c3e50", linewidth=1, linestyle=line, alpha=0.6,
+              zorder=1, label=condition)
+    for x, y, row in points:
+        axis.scatter([x], [y], s=SIZES[row.mark], c=COLOURS[row.mark], marker=MARKERS[row.mark], zorder=3)
+    for index, (x, y, row) in enumerate(sorted(points, key=lambda point: point[:2])):
+        axis.annotate(f"{row.method} {row.params}", (x, y), xytext=(5, 5 if index % 2 else -9), textcoords="offset points",
+                      fontsize=6, color=COLOURS[row.mark])
+    for row in rows:
+        if row.mark == "null":
+            error = max(row.err_rms or 0.0, LEAST_ERROR)
+            axis.axhline(error, color="#95a5a6", linewidth=0.8, linestyle=line)
+            axis.annotate("nothing done", (0.01, error), xycoords=("axes fraction", "data"), ha="left", va="bottom", fontsize=6,
+                          color="#7f8c8d")

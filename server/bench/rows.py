@@ -19,7 +19,8 @@ ALL = "all"
 @dataclass(frozen=True)
 class Row:
     """`errors`: found less expected, any shape, in units of what the stage says; `times_ms`: of each run, empty where nothing is
-    done; `mark`: whether a preset uses it, or it is the row that does nothing; `extra`: figures that only this stage has."""
+    done; `mark`: whether a preset uses it, or it is the row that does nothing; `extra`: figures that only this stage has;
+    `condition`: under which methods are compared with each other."""
 
     stage: str
     method: str
@@ -29,10 +30,11 @@ class Row:
     params: str = ""
     mark: Mark = ""
     extra: dict[str, float | None] = field(default_factory=dict)
+    condition: str = ""
 
     @property
     def name(self) -> str:
-        return f"{self.method} {self.params}".strip()
+        return " ".join(part for part in (self.method, self.params, self.condition) if part)
 
     def percentile_ms(self, percent: float) -> float | None:
         return round(float(np.percentile(self.times_ms, percent)), 4) if len(self.times_ms) else None
@@ -45,16 +47,16 @@ class Row:
         size = np.abs(self.errors).ravel()
         found = {"err_rms": self.err_rms, "err_p99": float(np.percentile(size, 99)), "err_max": float(size.max()),
                  "bias": float(self.errors.mean())} if size.size else dict.fromkeys(("err_rms", "err_p99", "err_max", "bias"))
-        return {"stage": self.stage, "method": self.method, "params": self.params, "scene": self.scene, "mark": self.mark,
-                "ms_p50": self.percentile_ms(50), "ms_p95": self.percentile_ms(95), "timed": len(self.times_ms), **found,
-                **self.extra}
+        return {"stage": self.stage, "method": self.method, "params": self.params, "condition": self.condition, "scene": self.scene,
+                "mark": self.mark, "ms_p50": self.percentile_ms(50), "ms_p95": self.percentile_ms(95), "timed": len(self.times_ms),
+                **found, **self.extra}
 
 
 def pooled(rows: Iterable[Row]) -> list[Row]:
-    """One row a method, over all scenes: all errors and all times together, the mean of the other figures."""
-    groups: dict[tuple[str, str, str], list[Row]] = {}
+    """One row a method and condition, over all scenes: all errors and all times together, the mean of the other figures."""
+    groups: dict[tuple[str, ...], list[Row]] = {}
     for row in rows:
-        groups.setdefault((row.stage, row.method, row.params), []).append(row)
+        groups.setdefault((row.stage, row.method, row.params, row.condition), []).append(row)
     return [replace(group[0], scene=ALL if len(group) > 1 else group[0].scene,
                     errors=np.concatenate([row.errors.ravel() for row in group]),
                     times_ms=np.concatenate([row.times_ms for row in group]), extra=_means([row.extra for row in group]))

@@ -54,10 +54,11 @@ def shadow_rows(pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
                 lights = _sequence(light, effort.repeats + WARM_UP, moving=state == "moving")
                 times = _times(pipelines, effort.size, scene, lights)
                 errors = _ratio(pipelines, effort.size, scene, lights[-SETTLED:])[pixels] - expected
-                yield Row(STAGE, method, case.name, errors, times, f"{kind}, {state}", mark if state == "moving" else "")
+                yield Row(STAGE, method, case.name, errors, times, state,
+                          mark if state == "moving" else "", condition=kind)
         lights = _sequence(light, effort.repeats + WARM_UP, moving=True)
         times = _times(pipelines, effort.size, _scene("area", catcher=False), lights)
-        yield Row(STAGE, "no shadow", case.name, 1.0 - expected, times, kind, "null")
+        yield Row(STAGE, "no shadow", case.name, 1.0 - expected, times, condition=kind, mark="null")
 
 
 def _light(case: Case) -> FrameLight:

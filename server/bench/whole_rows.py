@@ -51,11 +51,11 @@ def whole_rows(pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
             for given in INPUTS:
                 found = rendered(pipelines, world, lighting, pixels, given)
                 expected = truth if given == "radiance" else displayed(truth, world)
-                yield Row(STAGE, name, world.name, by_region(found, expected), times, given, mark)
+                yield Row(STAGE, name, world.name, by_region(found, expected), times, condition=given, mark=mark)
         nothing = flat_light(world, pixels)
-        yield Row(STAGE, "constant ambient", world.name, by_region(nothing, truth), params=INPUTS[0], mark="null")
+        yield Row(STAGE, "constant ambient", world.name, by_region(nothing, truth), condition=INPUTS[0], mark="null")
         yield Row(STAGE, "constant ambient", world.name, by_region(displayed(nothing, world), displayed(truth, world)),
-                  params=INPUTS[1], mark="null")
+                  condition=INPUTS[1], mark="null")
 
 
 def by_region(found: dict[str, Array], expected: dict[str, Array]) -> Array:
