@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from renderer.gl import Context, GLUnavailableError
@@ -71,7 +72,7 @@ def run_bench(arguments: argparse.Namespace) -> int:
         write_plot = _plot_writer(arguments)
         if arguments.json is not None and not arguments.json.parent.is_dir():
             raise ValueError(f"json folder {str(arguments.json.parent)!r} does not exist")
-        report = measured(QUICK if arguments.quick else FULL, print)
+        report = measured(QUICK if arguments.quick else FULL, partial(print, flush=True))
         if arguments.json is not None:
             arguments.json.write_text(json.dumps(report.as_json(), indent=1) + "\n")
         write_plot(report)
