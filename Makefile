@@ -6,7 +6,8 @@ ARGS ?=
 PYTEST_ARGS ?=
 MAPS ?=
 
-.PHONY: help demo test lint check-python check-web e2e bench bench-light bench-service bench-truth soak fuzz setup setup-test setup-truth lock clean
+.PHONY: help demo test lint check-python check-web e2e bench bench-light bench-presets bench-service bench-truth soak fuzz \
+	setup setup-test setup-truth lock clean
 
 help: ## show the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 16
@@ -57,11 +58,14 @@ $(VENV)/.truth-ready: $(VENV)/.run-ready requirements-truth.lock
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements-truth.lock
 	@touch $@
 
-bench: setup ## what each stage of the frame path costs; ARGS="--quick --json FILE"
+bench: setup ## speed against error, every stage and preset; ARGS="--quick --json FILE --plot FILE.png"
 	$(BIN)/mr360 bench $(ARGS)
 
 bench-light: setup ## the light stages against their references; MAPS=FOLDER measures its radiance maps too, CLIPS=FOLDER its clips
 	$(BIN)/python -m server.bench.light $(if $(MAPS),--maps $(MAPS)) $(if $(CLIPS),--clips $(CLIPS)) $(ARGS)
+
+bench-presets: setup ## error and time of both presets on each radiance map of MAPS=FOLDER
+	$(BIN)/python -m server.bench.presets --maps $(MAPS) $(ARGS)
 
 bench-service: setup ## the whole service beside a plain transcode, by size, objects, triangles, lamps and viewers; ARGS="--quick --json FILE"
 	$(BIN)/python -m server.bench.service $(ARGS)

@@ -82,10 +82,10 @@ def _add_lights(commands: Commands[_Parser]) -> None:
 
 
 def _add_bench(commands: Commands[_Parser]) -> None:
-    parser = commands.add_parser("bench", help="what each stage of the frame path costs", allow_abbrev=False)
-    parser.add_argument("--quick", action="store_true", help="fewer frames, under a minute")
-    parser.add_argument("--json", metavar="FILE", type=Path, help="where to write the figures as JSON")
-    parser.add_argument("--plot", metavar="FILE", type=Path, help="not available yet")
+    parser = commands.add_parser("bench", help="speed against error, every stage and preset", allow_abbrev=False)
+    parser.add_argument("--quick", action="store_true", help="fewer frames and maps, under a minute")
+    parser.add_argument("--json", metavar="FILE", type=Path, help="where to write the rows as JSON")
+    parser.add_argument("--plot", metavar="FILE", type=Path, help="time against error by stage: .png or .svg")
     parser.set_defaults(run=_bench)
 
 
@@ -157,7 +157,7 @@ def _lights(arguments: argparse.Namespace) -> int:
 
 
 def _bench(arguments: argparse.Namespace) -> int:
-    from server.bench.stages import run_bench
+    from server.bench.report import run_bench
 
     return int(run_bench(arguments) or 0)
 

@@ -24,6 +24,7 @@ WIDTH, HEIGHT = 600, 300      # of the whole frame; the upper half is looked at
 SIGMAS = 2.0
 KEPT_ENERGY = 0.9
 ROUNDING = 1e-5              # of single precision, after sums
+DARK = float(np.finfo(np.float32).tiny)      # below it single precision has fewer digits still: there is no light
 
 
 def detect_by_threshold(upper: Array32, radiance: Floats, sigmas: float = SIGMAS) -> Detection:
@@ -35,7 +36,7 @@ def detect_by_threshold(upper: Array32, radiance: Floats, sigmas: float = SIGMAS
     blurred = box_blurred(luminance)
     mean = float(blurred.mean(dtype=np.float64))
     sigma = float(np.sqrt(np.mean(np.square(blurred - np.float32(mean)), dtype=np.float64)))
-    threshold = mean + sigmas * max(sigma, ROUNDING * mean)     # of a flat frame nothing exceeds it
+    threshold = mean + sigmas * max(sigma, ROUNDING * mean, DARK)     # of a flat frame nothing exceeds it
     lights = strongest(_lights(upper, luminance, blurred > threshold, threshold))
     clamped = _clamped(radiance, threshold)
     return Detection(tuple(lights), clamped, clamped, threshold)

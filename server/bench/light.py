@@ -15,7 +15,8 @@ from renderer.gl import Context
 from server.bench.light_clips import clip_table
 from server.bench.light_range import dynamic_range_table
 from server.bench.light_reference import analytic_maps, given_maps
-from server.bench.light_tables import Pipelines, detection_table, diffuse_table, glossy_table, irradiance_table, probe_table
+from server.bench.light_tables import detection_table, diffuse_table, glossy_table, irradiance_table, probe_table
+from server.bench.pipelines import Pipelines
 
 
 def main() -> int:

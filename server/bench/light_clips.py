@@ -17,7 +17,8 @@ from renderer.frame import RadianceFrame
 from renderer.light.detection import Light
 from renderer.light.inverse_tone_mapping import WEIGHTS
 from renderer.scene import Lighting
-from server.bench.light_tables import PAPERS, Pipelines
+from server.bench.light_tables import PAPERS
+from server.bench.pipelines import Pipelines
 from server.worker.images import read_still
 from server.worker.picture import PictureReader, output_size
 

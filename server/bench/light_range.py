@@ -11,7 +11,8 @@ from renderer.color import linear_from_srgb, srgb_from_linear
 from renderer.frame import RgbFrame
 from renderer.light.inverse_tone_mapping import OFFSET, SLOPE, WEIGHTS, radiance_from_linear
 from server.bench.light_reference import light_irradiance, random_normals, reference_irradiance
-from server.bench.light_tables import Maps, Pipelines, rms
+from server.bench.light_tables import Maps, rms
+from server.bench.pipelines import Pipelines
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]

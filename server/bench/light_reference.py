@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 SIZE = (512, 256)
 NORMALS = 2000
+SUMMED_ROWS = 256
 
 
 def given_maps(folder: Path | None) -> Iterator[tuple[str, Array32]]:
@@ -74,6 +75,12 @@ def reference_irradiance(radiance: Array32, normals: Array) -> Array:
     return total
 
 
+def summed_irradiance(radiance: NDArray[np.floating], normals: Array) -> Array:
+    """The same over the texels of a map of at most SUMMED_ROWS rows that has the same power."""
+    rows = min(radiance.shape[0], SUMMED_ROWS)
+    return reference_irradiance(np.asarray(resample(radiance, rows, 2 * rows), dtype=np.float32), normals)
+
+
 def light_irradiance(light: FrameLight, normals: Array) -> Array:
     """(n, 3) irradiance on these normals as the renderer shades it: the interpolated irradiance map, and the lights."""
     found = interpolated(light.irradiance.astype(np.float64), normals)
@@ -100,7 +107,7 @@ def interpolated(values: Array, directions: Array) -> Array:
 
 def kernel_glossy(radiance: Array, directions: Array, roughness: float) -> Array:
     """(n, 3) radiance as a GGX lobe with N = V = R sees it around each direction."""
-    return _weighted(radiance, lambda towards: ggx_lobe(np.clip(directions @ towards.T, -1, 1), roughness))
+    return weighted_mean(radiance, lambda towards: ggx_lobe(np.clip(directions @ towards.T, -1, 1), roughness))
 
 
 def reflected_glossy(radiance: Array, normals: Array, views: Array, roughness: float) -> Array:
@@ -117,10 +124,11 @@ def reflected_glossy(radiance: Array, normals: Array, views: Array, roughness: f
                           + n_dot_v * np.sqrt(n_dot_l**2 * (1 - alpha2) + alpha2))
         return np.asarray(distribution * visibility * n_dot_l)
 
-    return _weighted(radiance, weight)
+    return weighted_mean(radiance, weight)
 
 
-def _weighted(radiance: Array, weight: Callable[[Array], NDArray[np.floating]]) -> Array:
+def weighted_mean(radiance: Array, weight: Callable[[Array], NDArray[np.floating]]) -> Array:
+    """(n, 3) mean of a map by `weight`, of (columns, 3) directions to (n, columns), times solid angle."""
     height, width = radiance.shape[:2]
     directions, area = pixel_directions(height, width), solid_angles(height, width)
     total, norm = np.zeros(1), np.zeros(1)

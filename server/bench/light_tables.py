@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.equirectangular import pixel_directions, solid_angles
-from renderer.frame import Frame, RadianceFrame
-from renderer.gl import Context
+from renderer.frame import RadianceFrame
 from renderer.light.detection import Detection, find_candidates
 from renderer.light.diffuse import diffuse_map
 from renderer.light.fitting import Probe, ProbeFit, probe_irradiance
@@ -22,7 +21,6 @@ from renderer.light.reading import FrameLight
 from renderer.light.specular import prefilter, resample
 from renderer.light.threshold_detection import HEIGHT, WIDTH, detect_by_threshold
 from renderer.light.tracking import LightTracker
-from renderer.pipeline import Pipeline
 from renderer.scene import Lighting, Scene
 from server.bench.light_reference import (
     clean,
@@ -34,6 +32,7 @@ from server.bench.light_reference import (
     reference_irradiance,
     reflected_glossy,
 )
+from server.bench.pipelines import Pipelines
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -44,28 +43,6 @@ PAPERS = Lighting(lights="threshold", diffuse="map32x16", glossy="rings36")
 DIFFUSE_METHODS = ("auto", "sh", "convolution", "map16x8", "map32x16", "map128x64")
 BALL_DISTANCE, BALL_RADIUS = 2.0, 0.95
 FINER = 4
-
-
-class Pipelines:
-    """Pipelines by kind and size, so that maps of one size share theirs."""
-
-    def __init__(self, context: Context) -> None:
-        self._context = context
-        self._known: dict[tuple[type[Frame], tuple[int, int]], Pipeline] = {}
-
-    def of(self, frame: Frame) -> Pipeline:
-        key = (type(frame), frame.size)
-        if key not in self._known:
-            self._known[key] = Pipeline(self._context, *key)
-        self._known[key].reset()
-        return self._known[key]
-
-    def light(self, frame: Frame, lighting: Lighting | None = None) -> FrameLight:
-        return self.of(frame).analyse(frame, lighting=lighting)[0]
-
-    def release(self) -> None:
-        for pipeline in self._known.values():
-            pipeline.release()
 
 
 def irradiance_errors(pipelines: Pipelines, radiance: Array32, lighting: Lighting | None = None) -> tuple[FrameLight, Array]:

@@ -6,11 +6,6 @@ measures that. Wall time is what passes with the renderer's own threads at work,
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
-import platform
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,7 +16,7 @@ import av
 from av.video.frame import VideoFrame
 
 from renderer.frame import YuvFrame
-from renderer.gl import Context, GLUnavailableError
+from renderer.gl import Context
 from renderer.pipeline import Pipeline
 from renderer.scene import Scene
 from renderer.timings import Timings
@@ -32,10 +27,7 @@ from server.worker.picture import FramePool, PictureReader
 from server.worker.render_loop import warm_up
 from server.worker.statistics import percentiles
 
-BAD_INPUT = 2
-WIDTH, FPS = 2048, 30
-WARM_UP_FRAMES = 30
-FRAMES, QUICK_FRAMES = 400, 200
+WARM_UP_FRAMES = 20
 
 
 class _Samples:
@@ -61,33 +53,12 @@ class _Samples:
                 for name, values in self.wall.items()}
 
 
-def run_bench(arguments: argparse.Namespace) -> int:
-    """Print the table and write the JSON file. Returns the exit status."""
-    try:
-        if arguments.plot is not None:
-            raise ValueError("--plot is not available yet, expected --quick or --json")
-        report = bench(QUICK_FRAMES if arguments.quick else FRAMES)
-        print(table(report))
-        if arguments.json is not None:
-            arguments.json.write_text(json.dumps(report, indent=1) + "\n")
-    except (GLUnavailableError, ValueError, OSError) as error:
-        print(f"mr360 bench: {' '.join(str(error).split())}", file=sys.stderr)
-        return BAD_INPUT
-    return 0
-
-
-def bench(count: int, width: int = WIDTH, fps: int = FPS) -> dict[str, Any]:
+def frame_path(context: Context, count: int, width: int, fps: int) -> dict[str, Any]:
     """Frames of the demo's clip through decoder, renderer and encoder; the demo's scene, five objects, then none."""
     clip, size = demo_clip(width, fps), (width, width // 2)
-    context = Context()
     scenes = {"demo": Scene.model_validate(sample_scene()), "five objects": five_objects(), "empty": Scene()}
-    report = {
-        "machine": {"processors": os.cpu_count(), "machine": platform.processor() or platform.machine(),
-                    "renderer": context.renderer, "load_average": os.getloadavg()[0]},
-        "size": size, "frames": count,
-        "scenes": {name: _run(context, clip, scene, size, fps, count).as_json() for name, scene in scenes.items()}}
-    context.release()
-    return report
+    return {"size": size, "frames": count,
+            "scenes": {name: _run(context, clip, scene, size, fps, count).as_json() for name, scene in scenes.items()}}
 
 
 def five_objects() -> Scene:
@@ -145,15 +116,15 @@ def _decoded(clip: Path, count: int, samples: _Samples) -> Iterator[VideoFrame]:
                 count -= 1
 
 
-def table(report: dict[str, Any]) -> str:
-    """The report as text."""
-    machine = report["machine"]
-    lines = [f"{machine['processors']} x {machine['machine']}, {machine['renderer']}, load {machine['load_average']:.2f}",
-             f"{report['size'][0]}x{report['size'][1]}, {report['frames']} frames after {WARM_UP_FRAMES} of warm-up, milliseconds"]
+def frame_path_table(report: dict[str, Any]) -> Iterator[str]:
+    """The frame path as text."""
+    width, height = report["size"]
+    yield "THE FRAME PATH"
+    yield (f"the demo's clip of {width}x{height} through decoder, renderer and encoder, {report['frames']} frames; milliseconds by "
+           "stage")
     for name, rows in report["scenes"].items():
-        lines += ["", f"{'scene ' + name:26}{'wall p50':>10}{'p95':>8}{'max':>8}{'cpu p50':>10}{'p95':>8}"]
+        yield f"{'scene ' + name:26}{'wall p50':>10}{'p95':>8}{'max':>8}{'cpu p50':>10}{'p95':>8}"
         for row, figures in rows.items():
             wall, processor = figures["wall_ms"], figures["processor_ms"]
             cpu = f"{processor['p50']:10.2f}{processor['p95']:8.2f}" if processor else ""
-            lines.append(f"{row:26}{wall['p50']:10.2f}{wall['p95']:8.2f}{wall['max']:8.2f}{cpu}")
-    return "\n".join(lines)
+            yield f"{row:26}{wall['p50']:10.2f}{wall['p95']:8.2f}{wall['max']:8.2f}{cpu}"

@@ -38,7 +38,7 @@ def mr360(*arguments: str, **environment: str) -> subprocess.CompletedProcess[st
     (["lights", "x.png", "--method", "magic"], "'magic'"),
     (["lights", "x.png", "--count", "0"], "'0' given, expected auto or a number from 1 to 64"),
     (["publish", "x.mp4"], "URL"),
-    (["bench", "--plot", "x.svg"], "--plot is not available yet"),
+    (["bench", "--plot", "x.pdf"], "expected a name that ends in .png or .svg"),
 ])
 def test_bad_usage_is_status_2_and_one_line(arguments: list[str], text: str) -> None:
     done = mr360(*arguments)
