@@ -62,8 +62,9 @@ def packed_pixels(kind: type[Frame], size: tuple[int, int]) -> int:
 class RadianceMapStage:
     """Owns the reduction pass of one source geometry."""
 
-    def __init__(self, context: Context, panorama: PanoramaTextures, size: tuple[int, int] | None = None) -> None:
-        """`size`: of the map, None for the usual one."""
+    def __init__(self, context: Context, panorama: PanoramaTextures, size: tuple[int, int] | None = None, *,
+                 by_processor: bool = True) -> None:
+        """`size`: of the map, None for the usual one. `by_processor`: where OpenGL is software and the sizes allow."""
         self._panorama = panorama
         self.size = map_size(panorama.size) if size is None else size
         packed = panorama.packed
@@ -76,7 +77,7 @@ class RadianceMapStage:
         self._program = context.program("full_screen.vert.glsl", "radiance_map.frag.glsl", defines)
         self.texture = context.texture(self.size, 4, "f4", wrap_x=True)
         # in blocks of 2 x 2 pixels; a software renderer takes more than twice as long
-        self._by_processor = (context.is_software and panorama.kind is YuvFrame and is_built() and not any(
+        self._by_processor = (by_processor and context.is_software and panorama.kind is YuvFrame and is_built() and not any(
             frame % (2 * texels) for frame, texels in zip(panorama.size, self.size, strict=True)))
         self._newest = np.zeros((self.size[1], self.size[0], 4), dtype=np.float32)
         self._newest_of: Frame | None = None    # the frame

@@ -142,11 +142,10 @@ class Rings:
         self._kept = np.ones((128, 256), np.float32)
 
     def measured(self, world: World, roughness: float, directions: Array, repeats: int) -> tuple[Array, Array]:
-        self._panorama.write(RadianceFrame(world.sky.astype(np.float32)))
+        self._panorama.show(RadianceFrame(world.sky.astype(np.float32)))
         self._probe.look(directions)
 
         def work() -> None:
-            self._panorama.use()
             self._source.fill(self._kept, 0.0)
             self._probe.run("ring_map", self._source.texture, roughness)
 

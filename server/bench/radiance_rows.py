@@ -24,16 +24,17 @@ STAGE = "radiance map"
 MEASURE = ("texels of the map of a camera's frame, less the mean by solid angle of its tone mapped pixels in float64; in units "
            "of the map's rms. The papers' map is the whole frame as half floats with mip levels, compared where a level is as "
            "large")
-VARIANTS: tuple[tuple[str, Mark, bool, int], ...] = (
-    ("", "default", True, 1), ("half the size", "", True, 2), ("exact decoding", "", False, 1))
+VARIANTS: tuple[tuple[str, Mark, bool, bool, int], ...] = (
+    ("", "default", True, True, 1), ("half the size", "", True, True, 2), ("OpenGL", "", False, True, 1),
+    ("OpenGL, exact decoding", "", False, False, 1))
 
 
 def radiance_rows(pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
     for world in worlds(effort.size, effort.worlds):
         frame = yuv_from_linear(world.shown)
         exact = radiance_from_linear(linear_from_yuv(frame))
-        for params, mark, packed, divisor in VARIANTS:
-            yield _reduced(pipelines, frame, exact, world.name, effort, params, mark, packed, divisor)
+        for params, mark, by_processor, packed, divisor in VARIANTS:
+            yield _reduced(pipelines, frame, exact, world.name, effort, params, mark, by_processor, packed, divisor)
         yield _papers(pipelines, frame, exact, world.name, effort)
         expected = resample(exact, *map_size(frame.size)[::-1])
         constant = np.broadcast_to(exact.mean(axis=(0, 1)), expected.shape)
@@ -41,16 +42,15 @@ def radiance_rows(pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
 
 
 def _reduced(pipelines: Pipelines, frame: YuvFrame, exact: Array, scene: str, effort: Effort, params: str, mark: Mark,
-             packed: bool, divisor: int) -> Row:
-    """Our fused reduction; without `packed` planes it decodes each pixel with roots, as exactly as mirrors do."""
+             by_processor: bool, packed: bool, divisor: int) -> Row:
+    """Our fused reduction; OpenGL without `packed` planes decodes each pixel with roots, as exactly as mirrors do."""
     context = pipelines.context
     panorama = PanoramaTextures(context, YuvFrame, frame.size, packed_pixels(YuvFrame, frame.size) if packed else 0)
     width, height = map_size(frame.size)
-    stage = RadianceMapStage(context, panorama, (width // divisor, height // divisor))
+    stage = RadianceMapStage(context, panorama, (width // divisor, height // divisor), by_processor=by_processor)
 
     def work() -> NDArray[np.floating]:
-        panorama.write(frame, only_packed=True)
-        panorama.use()
+        panorama.show(frame)
         return stage.run().rgb
 
     times, found = timed(work, effort.repeats), work()
@@ -68,8 +68,7 @@ def _papers(pipelines: Pipelines, frame: YuvFrame, exact: Array, scene: str, eff
     kept = np.ones((height, width), np.float32)
 
     def work() -> None:
-        panorama.write(frame)
-        panorama.use()
+        panorama.show(frame)
         source.fill(kept, 0.0)
         context.gl.finish()
 
