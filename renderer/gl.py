@@ -69,6 +69,14 @@ class Context:
             files = sources[1].files if "fragment_shader" in str(error) else sources[0].files
             raise ShaderError(_LOG_LINE.sub(lambda m: _named_line(m, files), str(error))) from None
 
+    def compute(self, name: str, defines: Mapping[str, int] | None = None) -> moderngl.ComputeShader:
+        """Compile one file of `renderer/shaders`. Raises ShaderError."""
+        source = load_shader(name, defines)
+        try:
+            return self.gl.compute_shader(source.text)
+        except moderngl.Error as error:
+            raise ShaderError(_LOG_LINE.sub(lambda m: _named_line(m, source.files), str(error))) from None
+
     def texture(self, size: tuple[int, int], components: int, dtype: str, *, linear: bool = True,
                 wrap_x: bool = False) -> moderngl.Texture:
         texture = self.gl.texture(size, components, dtype=dtype)
@@ -155,7 +163,7 @@ def release_all(*items: Releasable | None) -> None:
             item.release()
 
 
-def set_uniforms(program: moderngl.Program, values: Mapping[str, object]) -> None:
+def set_uniforms(program: moderngl.Program | moderngl.ComputeShader, values: Mapping[str, object]) -> None:
     """Set uniforms by name. One that the compiler has removed as unused is skipped; moderngl checks the others' shapes."""
     for name, value in values.items():
         member = program.get(name, None)

@@ -81,7 +81,7 @@ class PanoramaTextures:
             texture.use(unit)
         self._inverse_gain.use(self.FIRST_UNIT + 6)
 
-    def bind(self, program: moderngl.Program) -> None:
+    def bind(self, program: moderngl.Program | moderngl.ComputeShader) -> None:
         """Tell a program where the frame is, and the meaning of its codes when that has changed."""
         if self._bound.get(program.glo) == self.format:
             return

@@ -7,6 +7,7 @@ fetch, and polynomials stand in for pow(). Where OpenGL is software, the process
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 from functools import cached_property
 
 import moderngl
@@ -59,16 +60,23 @@ def packed_pixels(kind: type[Frame], size: tuple[int, int]) -> int:
     return 8 if size[0] % (8 * map_size(size)[0]) == 0 else 4
 
 
+class Way(Enum):
+    """How a frame is reduced: in C where OpenGL is software; by a group of invocations a texel on a GPU; by one each, anywhere."""
+
+    PROCESSOR = "processor"
+    COMPUTE = "compute"
+    FRAGMENT = "fragment"
+
+
 class RadianceMapStage:
     """Owns the reduction pass of one source geometry."""
 
-    def __init__(self, context: Context, panorama: PanoramaTextures, size: tuple[int, int] | None = None, *,
-                 by_processor: bool = True) -> None:
-        """`size`: of the map, None for the usual one. `by_processor`: where OpenGL is software and the sizes allow."""
-        self._panorama = panorama
+    def __init__(self, context: Context, panorama: PanoramaTextures, size: tuple[int, int] | None = None,
+                 way: Way | None = None) -> None:
+        """`size`: of the map, None for the usual one. `way`: None for the fastest that the sizes allow."""
+        self._context, self._panorama = context, panorama
         self.size = map_size(panorama.size) if size is None else size
-        packed = panorama.packed
-        cell = (packed, 2) if packed else (1, 1)
+        cell = (panorama.packed, 2) if panorama.packed else (1, 1)
         counts = [frame // (texels * side) for frame, texels, side in zip(panorama.size, self.size, cell, strict=True)]
         whole = all(count * texels * side == frame for count, frame, texels, side in
                     zip(counts, panorama.size, self.size, cell, strict=True))
@@ -76,18 +84,26 @@ class RadianceMapStage:
         defines = {**panorama.defines, "COLUMNS": columns, "ROWS": rows}
         self._program = context.program("full_screen.vert.glsl", "radiance_map.frag.glsl", defines)
         self.texture = context.texture(self.size, 4, "f4", wrap_x=True)
-        # in blocks of 2 x 2 pixels; a software renderer takes more than twice as long
-        self._by_processor = (by_processor and context.is_software and panorama.kind is YuvFrame and is_built() and not any(
-            frame % (2 * texels) for frame, texels in zip(panorama.size, self.size, strict=True)))
+        self.way = self._fastest(is_whole=whole) if way is None else way
+        self._compute: moderngl.ComputeShader | None = None
+        if self.way is Way.COMPUTE:
+            invocations = min(32, 1 << (columns * rows - 1).bit_length())
+            self._compute = context.compute("radiance_map.comp.glsl", {**defines, "INVOCATIONS": invocations})
         self._newest = np.zeros((self.size[1], self.size[0], 4), dtype=np.float32)
         self._newest_of: Frame | None = None    # the frame
         self._target = context.gl.framebuffer([self.texture])
         self._triangle = context.gl.vertex_array(self._program, [])
 
+    def _fastest(self, *, is_whole: bool) -> Way:
+        if not self._context.is_software:
+            return Way.COMPUTE if is_whole else Way.FRAGMENT
+        blocks = all(frame % (2 * texels) == 0 for frame, texels in zip(self._panorama.size, self.size, strict=True))
+        return Way.PROCESSOR if blocks and self._panorama.kind is YuvFrame and is_built() else Way.FRAGMENT
+
     def run(self) -> RadianceMap:
         """Reduce the frame that the panorama shows. The full map also stays in `texture` for mirrors."""
         frame = self._panorama.frame
-        if self._by_processor and isinstance(frame, YuvFrame):
+        if self.way is Way.PROCESSOR and isinstance(frame, YuvFrame):
             texels = reduce_planes(frame, self.size)
             self.texture.write(texels)
         else:
@@ -99,7 +115,7 @@ class RadianceMapStage:
         """(height, width, 4) of the frame that the panorama shows if it `is_needed`, from every second row of 2 x 2 pixels, which
         is enough to look at; else of some frame."""
         frame = self._panorama.frame
-        if is_needed and self._newest_of is not frame and self._by_processor and isinstance(frame, YuvFrame):
+        if is_needed and self._newest_of is not frame and self.way is Way.PROCESSOR and isinstance(frame, YuvFrame):
             self._newest, self._newest_of = reduce_planes(frame, self.size, every=2), frame
         return self._newest
 
@@ -109,13 +125,20 @@ class RadianceMapStage:
 
     def _draw(self, rows: int) -> NDArray[np.float32]:
         self._panorama.upload()
-        self._panorama.bind(self._program)
-        set_uniforms(self._program, {"map_size": self.size})
-        self._target.use()
-        self._target.viewport = viewport = (0, 0, self.size[0], rows)
-        self._triangle.render(moderngl.TRIANGLES, 3)
-        pixels = np.frombuffer(self._target.read(viewport, components=4, dtype="f4"), dtype="f4")
+        if self._compute is not None:
+            self._panorama.bind(self._compute)
+            self.texture.bind_to_image(0, read=False, write=True)
+            self._compute.run(self.size[0], rows)
+            self._context.gl.memory_barrier()
+        else:
+            self._panorama.bind(self._program)
+            set_uniforms(self._program, {"map_size": self.size})
+            self._target.use()
+            self._target.viewport = (0, 0, self.size[0], rows)
+            self._triangle.render(moderngl.TRIANGLES, 3)
+        pixels = np.frombuffer(self._target.read((0, 0, self.size[0], rows), components=4, dtype="f4"), dtype="f4")
         return pixels.reshape(rows, self.size[0], 4)
 
     def release(self) -> None:
-        release_all(self._triangle, self._target, self.texture, self._program)
+        self._context.rest()
+        release_all(self._triangle, self._target, self.texture, self._program, self._compute)

@@ -7,6 +7,7 @@ nothing to do with the last one, never waits.
 from __future__ import annotations
 
 MIN_PIXELS = 12_000        # that are shaded ahead of one frame, however small the share that `quality.py` names
+MOST_FRAMES = 4            # without time ahead of them, in which a view's objects are shaded one after another
 
 LitBy = tuple[int, int]     # numbers of the illumination and of the lights' visibility
 
@@ -38,12 +39,15 @@ class Turns:
         return self._marked([*new, *affordable], lit_by)
 
     def now(self, members: dict[int, int], lit_by: LitBy, *, patient: bool) -> list[int]:
-        """Those to shade for a frame. `patient`: what was left out ahead of it may wait."""
+        """Those to shade for a frame. `patient`: what was left out ahead of it may wait; if there was no time for that, some of what
+        has waited longest is shaded, not all at once."""
         new, stale = self._due(members, lit_by)
-        waits = patient and self._had_turn
+        if patient:
+            stale = [] if self._had_turn else stale[:-(-len(stale) // MOST_FRAMES)]
         self._had_turn = False
-        self.is_behind = waits and bool(stale)
-        return self._marked(new if waits else [*new, *stale], lit_by)
+        chosen = self._marked([*new, *stale], lit_by)
+        self.is_behind = bool(self._due(members, lit_by)[1])
+        return chosen
 
     def _due(self, members: dict[int, int], lit_by: LitBy) -> tuple[list[int], list[int]]:
         return ([index for index in members if index not in self._lit_by],

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from renderer.frame import YuvFrame
 from renderer.light.inverse_tone_mapping import radiance_from_linear
-from renderer.light.radiance_map import RadianceMapStage, map_size, packed_pixels
+from renderer.light.radiance_map import RadianceMapStage, Way, map_size, packed_pixels
 from renderer.light.ring_sampling import RingSource
 from renderer.light.specular import resample
 from renderer.panorama import PanoramaTextures
@@ -24,17 +24,17 @@ STAGE = "radiance map"
 MEASURE = ("texels of the map of a camera's frame, less the mean by solid angle of its tone mapped pixels in float64; in units "
            "of the map's rms. The papers' map is the whole frame as half floats with mip levels, compared where a level is as "
            "large")
-VARIANTS: tuple[tuple[str, Mark, bool, bool, int], ...] = (
-    ("", "default", True, True, 1), ("half the size", "", True, True, 2), ("OpenGL", "", False, True, 1),
-    ("OpenGL, exact decoding", "", False, False, 1))
+VARIANTS: tuple[tuple[str, Mark, Way | None, bool, int], ...] = (
+    ("", "default", None, True, 1), ("half the size", "", None, True, 2), ("fragment shader", "", Way.FRAGMENT, True, 1),
+    ("compute shader", "", Way.COMPUTE, True, 1), ("fragment shader, exact decoding", "", Way.FRAGMENT, False, 1))
 
 
 def radiance_rows(pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
     for world in worlds(effort.size, effort.worlds):
         frame = yuv_from_linear(world.shown)
         exact = radiance_from_linear(linear_from_yuv(frame))
-        for params, mark, by_processor, packed, divisor in VARIANTS:
-            yield _reduced(pipelines, frame, exact, world.name, effort, params, mark, by_processor, packed, divisor)
+        for params, mark, way, packed, divisor in VARIANTS:
+            yield _reduced(pipelines, frame, exact, world.name, effort, params, mark, way, packed, divisor)
         yield _papers(pipelines, frame, exact, world.name, effort)
         expected = resample(exact, *map_size(frame.size)[::-1])
         constant = np.broadcast_to(exact.mean(axis=(0, 1)), expected.shape)
@@ -42,12 +42,12 @@ def radiance_rows(pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
 
 
 def _reduced(pipelines: Pipelines, frame: YuvFrame, exact: Array, scene: str, effort: Effort, params: str, mark: Mark,
-             by_processor: bool, packed: bool, divisor: int) -> Row:
+             way: Way | None, packed: bool, divisor: int) -> Row:
     """Our fused reduction; OpenGL without `packed` planes decodes each pixel with roots, as exactly as mirrors do."""
     context = pipelines.context
     panorama = PanoramaTextures(context, YuvFrame, frame.size, packed_pixels(YuvFrame, frame.size) if packed else 0)
     width, height = map_size(frame.size)
-    stage = RadianceMapStage(context, panorama, (width // divisor, height // divisor), by_processor=by_processor)
+    stage = RadianceMapStage(context, panorama, (width // divisor, height // divisor), way)
 
     def work() -> NDArray[np.floating]:
         panorama.show(frame)

@@ -12,6 +12,7 @@ from renderer.color import YuvFormat, linear_from_srgb, srgb_from_linear
 from renderer.frame import YuvFrame
 from renderer.gl import Context
 from renderer.light.inverse_tone_mapping import linear_from_radiance, radiance_from_linear
+from renderer.light.radiance_map import RadianceMapStage, Way
 from renderer.native import kernels
 from renderer.pipeline import Pipeline
 from renderer.scene import Scene
@@ -154,18 +155,20 @@ def reference(frame: YuvFrame, store: np.ndarray, across: int, additive: bool) -
 
 @pytest.mark.parametrize("size", [(2048, 1024), (1280, 640), (3840, 1920)])
 @pytest.mark.parametrize("layout", [YuvFormat("bt709", False), YuvFormat("bt601", True)])
-def test_the_reduction_by_the_processor_is_opengls(context: Context, size: tuple[int, int], layout: YuvFormat) -> None:
+def test_all_ways_of_reducing_agree(context: Context, size: tuple[int, int], layout: YuvFormat) -> None:
     pipeline, frame = Pipeline(context, YuvFrame, size), outdoors(size=size, layout=layout)
     pipeline._panorama.show(frame)
     stage = pipeline._radiance
-    assert stage._by_processor
+    assert stage.way is Way.PROCESSOR
     found = stage.run()
-    stage._by_processor = False
-    expected = stage.run()
+    for way in (Way.FRAGMENT, Way.COMPUTE):
+        other = RadianceMapStage(context, pipeline._panorama, way=way)
+        expected = other.run()
+        other.release()
+        assert np.abs(found.rgb / expected.rgb - 1).max() < 1e-4
+        assert np.abs(found.clipped - expected.clipped).max() < 1e-5
+        assert expected.clipped.max() > 0.9
     pipeline.release()
-    assert np.abs(found.rgb / expected.rgb - 1).max() < 1e-4
-    assert np.abs(found.clipped - expected.clipped).max() < 1e-5
-    assert expected.clipped.max() > 0.9
 
 
 @pytest.mark.parametrize("size", [(2048, 1024), (516, 258)])

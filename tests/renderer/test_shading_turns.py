@@ -46,8 +46,18 @@ def test_turns_tell_whether_any_object_is_behind() -> None:
 def test_a_frame_waits_only_for_what_had_a_turn_ahead_of_it() -> None:
     turns = Turns()
     assert turns.now(MEMBERS, (1, 0), patient=True) == [0, 1, 2]
-    assert turns.now(MEMBERS, (2, 0), patient=True) == [0, 1, 2]      # there was no time ahead of it
-    turns.ahead(MEMBERS, (3, 0), 1000)
-    assert turns.now(MEMBERS, (3, 0), patient=True) == []
-    turns.ahead(MEMBERS, (4, 0), 0)
-    assert turns.now(MEMBERS, (4, 0), patient=False) == [1, 2, 0]
+    turns.ahead(MEMBERS, (2, 0), 1000)
+    assert turns.now(MEMBERS, (2, 0), patient=True) == []
+    turns.ahead(MEMBERS, (3, 0), 0)
+    assert turns.now(MEMBERS, (3, 0), patient=False) == [1, 2, 0]
+
+
+def test_without_time_ahead_of_frames_objects_are_shaded_one_after_another() -> None:
+    turns = Turns()
+    turns.now(MEMBERS, (1, 0), patient=True)
+    served = []
+    for _ in range(4):
+        served += turns.now(MEMBERS, (2, 0), patient=True)
+        assert turns.is_behind == (len(served) < 3)
+    assert served == [0, 1, 2]
+    assert turns.now({**MEMBERS, 7: 500}, (3, 0), patient=True) == [7, 0], "what is new does not wait"
