@@ -26,6 +26,11 @@ class Effort:
     clip: tuple[int, int]
     clip_frames: int
 
+    @property
+    def per_world(self) -> int:
+        """Times in each world, so that over all of them a stage is timed `repeats` times."""
+        return -(-self.repeats // len(self.worlds))
+
 
 FULL = Effort("full", (1024, 512), (1024, 512), 200, 200, ("sun", "overcast", "room", "lamps"),
               ("sun", "overcast", "room", "lamps"), (0.2, 0.35, 0.5, 0.8), 1000, 300,
