@@ -26,8 +26,13 @@ class Effort:
     clip: tuple[int, int]
     clip_frames: int
 
+    @property
+    def per_world(self) -> int:
+        """Times in each world, so that over all of them a stage is timed `repeats` times."""
+        return -(-self.repeats // len(self.worlds))
+
 
 FULL = Effort("full", (1024, 512), (1024, 512), 200, 200, ("sun", "overcast", "room", "lamps"),
-              ("sun", "overcast", "room", "lamps"), (0.2, 0.35, 0.5, 0.8), 1000, 300,
-              300, 128, (2048, 30), 200)
+              ("sun", "overcast", "room", "lamps"), (0.2, 0.35, 0.5, 0.8), 1000, 200,
+              120, 80, (2048, 30), 200)
 QUICK = Effort("quick", (1024, 512), (512, 256), 20, 16, ("sun", "room"), ("sun",), (0.25, 0.6), 400, 100, 60, 48, (1024, 15), 20)

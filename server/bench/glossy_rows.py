@@ -49,10 +49,10 @@ def glossy_rows(pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
             lobe = weighted_mean(fine, _ggx(directions, roughness))
             for rows in SIZES:
                 mark: Mark = "default" if rows == map_rows(roughness) else ""
-                times, found = look_up.measured(soft, roughness, rows, directions, effort.repeats)
+                times, found = look_up.measured(soft, roughness, rows, directions, effort.per_world)
                 yield Row(STAGE, f"prefiltered {rows} rows", world.name, relative(found, lobe), times, mark=mark,
                           condition=f"r={roughness}")
-            times, found = rings.measured(world, roughness, directions, effort.repeats)
+            times, found = rings.measured(world, roughness, directions, effort.per_world)
             yield Row(STAGE, "rings36", world.name, relative(found, lobe), times, condition=f"r={roughness}", mark="paper")
             own = weighted_mean(fine, _phong(directions, roughness))
             yield Row(STAGE, "rings36 own lobe", world.name, relative(found, own), condition=f"r={roughness}")

@@ -40,7 +40,7 @@ def light_rows(pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
     for world in worlds(effort.still, effort.worlds):
         expected = exact_irradiance(world, normals)
         for method, params, mark, lighting in methods:
-            times, detection = _followed(pipelines, world, lighting, effort.repeats)
+            times, detection = _followed(pipelines, world, lighting, effort.per_world)
             found = detected_irradiance(detection, normals)
             yield Row(STAGE, method, world.name, relative(found, expected), times, params, mark, _matches(world, detection))
         mean = (world.radiance * solid_angles(*world.radiance.shape[:2])[..., None]).sum(axis=(0, 1)) / 4

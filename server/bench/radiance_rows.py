@@ -53,7 +53,7 @@ def _reduced(pipelines: Pipelines, frame: YuvFrame, exact: Array, scene: str, ef
         panorama.show(frame)
         return stage.run().rgb
 
-    times, found = timed(work, effort.repeats), work()
+    times, found = timed(work, effort.per_world), work()
     stage.release()
     panorama.release()
     return Row(STAGE, "fused", scene, relative(found, resample(exact, height // divisor, width // divisor)), times,
@@ -72,7 +72,7 @@ def _papers(pipelines: Pipelines, frame: YuvFrame, exact: Array, scene: str, eff
         source.fill(kept, 0.0)
         context.gl.finish()
 
-    times = timed(work, effort.repeats)
+    times = timed(work, effort.per_world)
     level = int(np.log2(frame.size[0] / width))
     found = np.frombuffer(source.texture.read(level=level), np.float16).reshape(height, width, 4)[..., :3].astype(np.float64)
     source.release()

@@ -44,19 +44,21 @@ CASES = (Case("sun 0.27°", 0.2665), Case("disc 2°", 2.0), Case("disc 7°, low"
 
 
 def shadow_rows(pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
-    for case in CASES if effort.name == "full" else (CASES[1], CASES[3]):
+    cases = CASES if effort.name == "full" else (CASES[1], CASES[3])
+    for case in cases:
+        count = -(-effort.repeats // sum((case.radius_deg is None) == (other.radius_deg is None) for other in cases))
         light, kind = _light(case), "disc" if case.radius_deg is not None else "sky"
         pixels, points = _ground(effort.size, light)
         expected = 1.0 - _hidden(points, CENTRE, RADIUS, light)
         for method, mark in METHODS:
             scene = _scene(method)
             for state in ("still", "moving") if light.detection.lights else ("moving",):
-                lights = _sequence(light, effort.repeats + WARM_UP, moving=state == "moving")
+                lights = _sequence(light, count + WARM_UP, moving=state == "moving")
                 times = _times(pipelines, effort.size, scene, lights)
                 errors = _ratio(pipelines, effort.size, scene, lights[-SETTLED:])[pixels] - expected
                 yield Row(STAGE, method, case.name, errors, times, state,
                           mark if state == "moving" else "", condition=kind)
-        lights = _sequence(light, effort.repeats + WARM_UP, moving=True)
+        lights = _sequence(light, count + WARM_UP, moving=True)
         times = _times(pipelines, effort.size, _scene("area", catcher=False), lights)
         yield Row(STAGE, "no shadow", case.name, 1.0 - expected, times, condition=kind, mark="null")
 

@@ -110,6 +110,7 @@ def test_preset_paper_is_the_papers_methods_and_nothing_else() -> None:
 def test_full_runs_time_at_least_200_frames() -> None:
     assert FULL.frames >= 200
     assert FULL.repeats >= 200
+    assert FULL.per_world * len(FULL.worlds) >= 200
     assert QUICK.frames < FULL.frames
     assert FULL.frames // len(FULL.whole_worlds) * len(FULL.whole_worlds) >= 200
 
