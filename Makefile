@@ -6,7 +6,7 @@ ARGS ?=
 PYTEST_ARGS ?=
 MAPS ?=
 
-.PHONY: help demo test lint check-python check-web e2e bench bench-light bench-presets bench-service bench-truth soak fuzz \
+.PHONY: help demo test lint check-python check-web e2e bench bench-gpu bench-light bench-presets bench-service bench-truth soak fuzz \
 	setup setup-test setup-truth lock clean
 
 help: ## show the targets
@@ -66,6 +66,9 @@ bench-light: setup ## the light stages against their references; MAPS=FOLDER mea
 
 bench-presets: setup ## error and time of both presets on each radiance map of MAPS=FOLDER
 	$(BIN)/python -m server.bench.presets --maps $(MAPS) $(ARGS)
+
+bench-gpu: setup ## stage times by GL timer queries, 2048x1024 to 7680x3840; ARGS="--require-gpu --json FILE"
+	$(BIN)/python -m server.bench.gpu $(ARGS)
 
 bench-service: setup ## the whole service beside a plain transcode, by size, objects, triangles, lamps and viewers; ARGS="--quick --json FILE"
 	$(BIN)/python -m server.bench.service $(ARGS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -66,6 +67,7 @@ class Pipeline:
                  mesh_root: Path | None = None) -> None:
         self._context = context
         self._size = size
+        self.new_timings: Callable[[], Timings] = Timings      # what measures the stages of a call
         self._panorama = PanoramaTextures(context, kind, size, packed_pixels(kind, size))
         self._radiance = RadianceMapStage(context, self._panorama)
         self._surfaces = SurfaceStage(context)
@@ -106,7 +108,7 @@ class Pipeline:
 
     def analyse(self, frame: Frame, moment: float | None = None, lighting: Lighting | None = None) -> tuple[FrameLight, Timings]:
         """Find the light of a frame shown at `moment` seconds without compositing anything."""
-        timings = Timings()
+        timings = self.new_timings()
         self._panorama.show(frame)
         return self._light(timings, moment, lighting or Lighting()), timings
 
@@ -119,7 +121,7 @@ class Pipeline:
         """
         self._context.assert_own_thread()
         check_size(frame)
-        timings = Timings()
+        timings = self.new_timings()
         with timings.stage("place"):
             placement = self._placer.place(scene, moment)
         rings = scene.lighting.method("glossy") == "rings36" and bool(placement.objects)
@@ -150,12 +152,12 @@ class Pipeline:
 
     def read_light(self, moment: float | None = None, lighting: Lighting | None = None) -> tuple[FrameLight, Timings]:
         """The light of the frame that was rendered last, which is shown at `moment` seconds."""
-        timings = Timings()
+        timings = self.new_timings()
         return self._light(timings, moment, lighting or Lighting()), timings
 
     def prepare(self, light: FrameLight) -> Timings:
         """Do now what the next frame would need first to be lit by this light, if its scene is that of the last frame."""
-        timings = Timings()
+        timings = self.new_timings()
         last = self._placer.last
         if last is not None and last[1].objects:
             scene, placement = last

@@ -39,8 +39,8 @@ class Turns:
         return self._marked([*new, *affordable], lit_by)
 
     def now(self, members: dict[int, int], lit_by: LitBy, *, patient: bool) -> list[int]:
-        """Those to shade for a frame. `patient`: what was left out ahead of it may wait; if there was no time for that, some of what
-        has waited longest is shaded, not all at once."""
+        """Those to shade for a frame. `patient`: what was left out ahead of it may wait; if there was no time for that, some of
+        what has waited longest is shaded, not all at once."""
         new, stale = self._due(members, lit_by)
         if patient:
             stale = [] if self._had_turn else stale[:-(-len(stale) // MOST_FRAMES)]
