@@ -33,6 +33,6 @@ class Effort:
 
 
 FULL = Effort("full", (1024, 512), (1024, 512), 200, 200, ("sun", "overcast", "room", "lamps"),
-              ("sun", "overcast", "room", "lamps"), (0.2, 0.35, 0.5, 0.8), 1000, 200,
+              ("sun", "overcast", "room", "lamps"), (0.2, 0.35, 0.5, 0.8), 500, 200,
               120, 80, (2048, 30), 200)
 QUICK = Effort("quick", (1024, 512), (512, 256), 20, 16, ("sun", "room"), ("sun",), (0.25, 0.6), 400, 100, 60, 48, (1024, 15), 20)
