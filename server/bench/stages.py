@@ -27,7 +27,7 @@ from server.worker.picture import FramePool, PictureReader
 from server.worker.render_loop import warm_up
 from server.worker.statistics import percentiles
 
-WARM_UP_FRAMES = 20
+WARM_UP_FRAMES = 15
 
 
 class _Samples:
