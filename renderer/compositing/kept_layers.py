@@ -1,4 +1,4 @@
-"""What the objects do to each pixel, kept from frame to frame: a factor of the ground's radiance, and what is added to it.
+"""What the objects do to each pixel, kept from frame to frame: a factor of the ground's light, and radiance that is added to it.
 
 Both are the same for as long as light and objects are, and most of compositing is finding them: shadows looked up where a
 pixel's ray meets the ground, objects where it meets their view. So they are drawn only for the tiles in which something is

@@ -74,11 +74,16 @@ INLINE void decode(const Pixels *pixels, const float *row, float *restrict linea
         linear[i] = linear_from_srgb(clamped(y * pixels->luma[i] + u * pixels->u[i] + v * pixels->v[i] + offset, 0.0f, 1.0f));
 }
 
-// What the ground gives back: linear light times the tone curve's gain and a layer's factor, or less by it; and the objects over it.
-INLINE void put_layer(Pixels *pixels, float *restrict linear, const uint16_t *restrict factor, const uint16_t *restrict kept,
+// What the ground has left of its light, as the camera shows it.
+INLINE void dim(const Pixels *pixels, float *restrict linear, const uint16_t *restrict factor) {
+    for (int i = 0; i < pixels->count; ++i) linear[i] *= from_half(factor[i]);
+}
+
+// Radiance of the ground, additive: less by what is missing, and of the objects over it.
+INLINE void put_layer(const Pixels *pixels, float *restrict linear, const uint16_t *restrict factor, const uint16_t *restrict kept,
                       const uint16_t *restrict added, int is_additive) {
     for (int i = 0; i < pixels->count; ++i) {
-        float gain = is_additive ? clamped(pixels->gain[i] - from_half(factor[i]), 0.0f, INFINITY) : pixels->gain[i] * from_half(factor[i]);
+        float gain = is_additive ? clamped(pixels->gain[i] - from_half(factor[i]), 0.0f, INFINITY) : pixels->gain[i];
         linear[i] = linear[i] * gain * from_half(kept[i]) + from_half(added[i]);
     }
 }
@@ -149,8 +154,13 @@ INLINE void composite_tile(Pixels *pixels, const Picture *picture, int32_t x0, i
     decode(pixels, tone->rgb_from_yuv, pixels->red);
     decode(pixels, tone->rgb_from_yuv + 4, pixels->green);
     decode(pixels, tone->rgb_from_yuv + 8, pixels->blue);
+    if (!is_additive) {
+        dim(pixels, pixels->red, layer + RED * PLANE);
+        dim(pixels, pixels->green, layer + GREEN * PLANE);
+        dim(pixels, pixels->blue, layer + BLUE * PLANE);
+    }
     for (int i = 0; i < pixels->count; ++i)
-        pixels->gain[i] = tone_gain(luminance(pixels->red[i], pixels->green[i], pixels->blue[i]));
+        pixels->gain[i] = tone_gain(clamped(luminance(pixels->red[i], pixels->green[i], pixels->blue[i]), 0.0f, 1.0f));
     const uint16_t *kept = layer + KEPT * PLANE;
     put_layer(pixels, pixels->red, layer + RED * PLANE, kept, layer + ADDED_RED * PLANE, is_additive);
     put_layer(pixels, pixels->green, layer + GREEN * PLANE, kept, layer + ADDED_GREEN * PLANE, is_additive);

@@ -1,5 +1,5 @@
 // Differential rendering straight into the frame (Debevec 1998, as a ratio): out = object + (1 - a) background E_with / E_without
-// in linear light, then back through the tone curve. A pixel that nothing touches keeps its codes. ADDITIVE: as a difference.
+// in linear light. A pixel that nothing touches keeps its codes. ADDITIVE: as a difference.
 #include "equirectangular.glsl"
 #include "panorama.glsl"
 
@@ -28,7 +28,7 @@ uniform mat4x3 yuv_from_rgb;
 layout(location = 0) out vec4 luma_block;   // 2 x 2 pixels
 layout(location = 1) out vec4 chroma_block; // u, v
 #elif OUTPUT_LAYERS
-layout(location = 0) out vec4 factor_out;   // of the ground's radiance (ADDITIVE: what is less of the tone curve's gain); what is not
+layout(location = 0) out vec4 factor_out;   // of the ground's light (ADDITIVE: what is less of the tone curve's gain); what is not
 layout(location = 1) out vec4 addend_out;   // covered by the objects | their radiance; 1 where the pixel differs
 #else
 out vec4 pixel_out;                         // radiance, touched
@@ -128,25 +128,24 @@ Layers layers_at(vec3 direction, vec3 missing_residual, float covered) {
 
 bool differs(Layers layers) { return max(layers.object.a, layers.ground.mirrored.a) > TOUCHED || any(greaterThan(abs(layers.ratio - 1.0), vec3(TOUCHED))); }
 
-// `opposite`: what the ground mirrored there.
-vec3 composite(Layers layers, vec3 background, vec3 opposite) {
+// `linear`: the pixel as the display shows it; `opposite`: the radiance that the ground mirrored there. The ratio is one of the
+// camera's linear light: on its picture of a diffuse surface it is exact. The tone curve, made for light sources, would take nearly
+// all of the shadow from a bright ground.
+vec3 composite(Layers layers, vec3 linear, vec3 opposite) {
 #if ADDITIVE
     // background + (L_with - L_without), L = albedo E / pi, as MR360 has it (6.4): as albedo it takes the video's pixel, in linear
     // display light, right or not. The sum is one of radiances; the paper does not say in which scale its own is.
-#if SOURCE_YUV || SOURCE_RGB8
-    vec3 albedo = linear_from_radiance(background);
-#else
-    vec3 albedo = background;   // no tone curve stands between a radiance map and the display
-#endif
-    albedo = min(albedo, vec3(1.0));
-    background = max(background - albedo * (1.0 - layers.ratio) * ground_irradiance / PI, 0.0);
-    layers.ratio = vec3(1.0);
-#endif
+    vec3 lost = min(linear, vec3(1.0)) * (1.0 - layers.ratio) * ground_irradiance / PI;
+    vec3 background = max(source_radiance(linear) - lost, 0.0);
 #if FLOOR
-    background = with_floor(layers.ground, background, layers.ratio, opposite);
-    layers.ratio = vec3(1.0);
+    background = with_floor(layers.ground, background, vec3(1.0), opposite);
 #endif
-    return background * layers.ratio * (1.0 - layers.object.a) + layers.object.rgb;
+#elif FLOOR
+    vec3 background = with_floor(layers.ground, source_radiance(linear), layers.ratio, opposite);
+#else
+    vec3 background = source_radiance(linear * layers.ratio);
+#endif
+    return background * (1.0 - layers.object.a) + layers.object.rgb;
 }
 
 vec4 covered_at(ivec2 fragment) {
@@ -171,7 +170,7 @@ vec3 opposite_radiance(Layers layers, vec3 mirrored_yuv, vec2 middle) {
 vec3 composited_yuv(vec2 azimuth_trig, vec2 polar_trig, vec3 missing_residual, vec3 yuv, float covered, vec3 mirrored_yuv,
                     vec2 middle) {
     Layers layers = layers_at(direction_at(azimuth_trig, polar_trig), missing_residual, covered);
-    vec3 result = composite(layers, radiance_from_signal(rgb_from_yuv * vec4(yuv, 1.0)),
+    vec3 result = composite(layers, linear_from_srgb(clamp(rgb_from_yuv * vec4(yuv, 1.0), 0.0, 1.0)),
                             opposite_radiance(layers, mirrored_yuv, middle));
     vec3 new_yuv = yuv_from_rgb * vec4(srgb_from_linear(linear_from_radiance(result)), 1.0);
     return differs(layers) ? new_yuv : yuv;
@@ -224,13 +223,13 @@ void main() {
     factor_out = vec4(factor, 1.0 - layers.object.a);
     addend_out = vec4(clamp(layers.object.rgb, 0.0, MAX_RADIANCE), differs(layers) ? 1.0 : 0.0);
 #else
-    vec3 background = pixel_radiance(min(first_pixel + in_tile, frame_size - 1));
+    vec3 linear = pixel_linear(min(first_pixel + in_tile, frame_size - 1));
     vec3 opposite = vec3(0.0);
 #if FLOOR
     ivec2 mirrored = ivec2(first_pixel.x + in_tile.x, frame_size.y - 1 - first_pixel.y - in_tile.y);
     opposite = floor_environment(pixel_radiance(clamp(mirrored, ivec2(0), frame_size - 1)), vec2(first_pixel + in_tile) + 0.5);
 #endif
-    pixel_out = vec4(composite(layers, background, opposite), differs(layers) ? 1.0 : 0.0);
+    pixel_out = vec4(composite(layers, linear, opposite), differs(layers) ? 1.0 : 0.0);
 #endif
 }
 #endif

@@ -51,18 +51,30 @@ vec2 block_chroma(ivec2 first) { return vec2(texelFetch(u_plane, first >> 1, 0).
 #endif
 #endif
 
-// The exact value of one pixel; chroma is that of its 2x2 block, so that writing it back is lossless.
-vec3 pixel_radiance(ivec2 pixel) {
+// The exact value of one pixel as linear light, of the display where the source is for one; chroma is that of its 2x2 block, so that
+// writing it back is lossless.
+vec3 pixel_linear(ivec2 pixel) {
 #if SOURCE_YUV
     vec4 yuv = vec4(texelFetch(luma_plane, pixel, 0).r, texelFetch(u_plane, pixel >> 1, 0).r,
                     texelFetch(v_plane, pixel >> 1, 0).r, 1.0);
-    return radiance_from_signal(rgb_from_yuv * yuv);
+    return linear_from_srgb(clamp(rgb_from_yuv * yuv, 0.0, 1.0));
 #elif SOURCE_RGB8
-    return radiance_from_signal(texelFetch(rgb_plane, pixel, 0).rgb);
+    return linear_from_srgb(texelFetch(rgb_plane, pixel, 0).rgb);
 #else
     return sanitize(texelFetch(rgb_plane, pixel, 0).rgb);
 #endif
 }
+
+// Radiance by the tone curve, if there is one between the source and the display, and back.
+#if SOURCE_YUV || SOURCE_RGB8
+vec3 source_radiance(vec3 linear) { return radiance_from_linear(linear); }
+vec3 source_linear(vec3 radiance) { return linear_from_radiance(radiance); }
+#else
+vec3 source_radiance(vec3 linear) { return linear; }
+vec3 source_linear(vec3 radiance) { return radiance; }
+#endif
+
+vec3 pixel_radiance(ivec2 pixel) { return source_radiance(pixel_linear(pixel)); }
 
 // 1 where the camera could show no more; a radiance map has no such limit.
 const float CLIPPED = 0.985;   // of the display signal's luma

@@ -31,5 +31,5 @@ vec3 with_floor(Floor found, vec3 background, vec3 ratio, vec3 opposite) {
     vec3 shown = found.reflectance * opposite;
     float likely = min(dot(background, LUMINANCE_WEIGHTS) / max(dot(shown, LUMINANCE_WEIGHTS), 1e-6), 1.0);
     vec3 hidden = min(shown * likely * likely, background) * found.mirrored.a;
-    return (background - hidden) * ratio + found.reflectance * found.mirrored.rgb;
+    return source_radiance(source_linear(background - hidden) * ratio) + found.reflectance * found.mirrored.rgb;
 }

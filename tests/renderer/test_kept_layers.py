@@ -146,7 +146,7 @@ def reference(frame: YuvFrame, store: np.ndarray, across: int, additive: bool) -
     codes = np.stack([frame.y, *(np.repeat(np.repeat(plane, 2, 0), 2, 1) for plane in (frame.u, frame.v))], axis=-1).astype(float)
     matrix = frame.format.rgb_from_yuv()
     linear = linear_from_srgb(np.clip(codes / 255 @ matrix[:, :3].T + matrix[:, 3], 0, 1))
-    ground = np.maximum(radiance_from_linear(linear) - linear * factor, 0) if additive else radiance_from_linear(linear) * factor
+    ground = np.maximum(radiance_from_linear(linear) - linear * factor, 0) if additive else radiance_from_linear(linear * factor)
     signal = srgb_from_linear(np.clip(linear_from_radiance(ground * kept + added), 0, 1))
     back = frame.format.yuv_from_rgb()
     new = np.clip(signal @ back[:, :3].T + back[:, 3], 0, 1) * 255

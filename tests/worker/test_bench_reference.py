@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from renderer.equirectangular import solid_angles
+from renderer.gl import Context
 from renderer.light.detection import Light
 from renderer.light.discs import disc_directions
 from renderer.light.irradiance import disc_cosine
 from server.bench.ball_reference import Ball, BallReference, Environment
 from server.bench.ball_shadow import hidden_share, hidden_sky
+from server.bench.composite_rows import EXPOSURES, composite_rows
+from server.bench.effort import QUICK
 from server.bench.frames import direction, linear_from_yuv, yuv_from_linear
 from server.bench.light_rows import exact_irradiance, ring_cosine
+from server.bench.pipelines import Pipelines
 from server.bench.whole_scene import BALLS, CAMERA_HEIGHT, REGIONS, looked_at
 from server.bench.worlds import disc_coverage, lamp, worlds
 
@@ -104,3 +110,16 @@ def test_pixels_lie_where_they_are_said_to() -> None:
 def test_a_cameras_codes_are_what_it_shows() -> None:
     linear = np.random.default_rng(2).uniform(0.1, 0.9, (1, 64, 1)).repeat(8, axis=0) * np.ones(3)
     assert linear_from_yuv(yuv_from_linear(linear)) == pytest.approx(linear, abs=0.012)
+
+
+def test_a_shadow_on_a_bright_ground_is_as_dark_as_on_a_dark_one() -> None:
+    """The ratio is one of the camera's linear light: exact whatever the exposure. Behind the tone curve it took too little."""
+    context = Context()
+    pipelines = Pipelines(context)
+    effort = replace(QUICK, size=(512, 256), repeats=1)
+    errors = {(row.method, row.condition): float(np.sqrt((row.errors**2).mean())) for row in composite_rows(pipelines, effort)}
+    pipelines.release()
+    context.release()
+    for exposure in EXPOSURES:
+        assert errors["ratio", f"exposure {exposure}"] < 0.01
+        assert errors["additive", f"exposure {exposure}"] > 0.1
