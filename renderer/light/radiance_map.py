@@ -60,6 +60,15 @@ def packed_pixels(kind: type[Frame], size: tuple[int, int]) -> int:
     return 8 if size[0] % (8 * map_size(size)[0]) == 0 else 4
 
 
+def cells_of_texel(frame_size: tuple[int, int], size: tuple[int, int], packed: int) -> tuple[int, int]:
+    """Columns and rows of cells, of `packed` x 2 pixels or of one, that make a texel of a map of `size`; 0 where that is no whole
+    number."""
+    cell = (packed, 2) if packed else (1, 1)
+    counts = [frame // (texels * side) for frame, texels, side in zip(frame_size, size, cell, strict=True)]
+    whole = all(count * texels * side == frame for count, frame, texels, side in zip(counts, frame_size, size, cell, strict=True))
+    return (counts[0], counts[1]) if whole else (0, 0)
+
+
 class Way(Enum):
     """How a frame is reduced: in C where OpenGL is software; by a group of invocations a texel on a GPU; by one each, anywhere."""
 
@@ -73,20 +82,19 @@ class RadianceMapStage:
 
     def __init__(self, context: Context, panorama: PanoramaTextures, size: tuple[int, int] | None = None,
                  way: Way | None = None) -> None:
-        """`size`: of the map, None for the usual one. `way`: None for the fastest that the sizes allow."""
+        """`size`: of the map, None for the usual one. `way`: None for the fastest that the sizes allow. Raises ValueError when
+        they do not allow the one that is given."""
         self._context, self._panorama = context, panorama
         self.size = map_size(panorama.size) if size is None else size
-        cell = (panorama.packed, 2) if panorama.packed else (1, 1)
-        counts = [frame // (texels * side) for frame, texels, side in zip(panorama.size, self.size, cell, strict=True)]
-        whole = all(count * texels * side == frame for count, frame, texels, side in
-                    zip(counts, panorama.size, self.size, cell, strict=True))
-        columns, rows = counts if whole else (0, 0)
+        columns, rows = cells_of_texel(panorama.size, self.size, panorama.packed)
         defines = {**panorama.defines, "COLUMNS": columns, "ROWS": rows}
         self._program = context.program("full_screen.vert.glsl", "radiance_map.frag.glsl", defines)
         self.texture = context.texture(self.size, 4, "f4", wrap_x=True)
-        self.way = self._fastest(is_whole=whole) if way is None else way
+        self.way = self._fastest(is_whole=columns > 0) if way is None else way
         self._compute: moderngl.ComputeShader | None = None
         if self.way is Way.COMPUTE:
+            if not columns:
+                raise ValueError(f"map of a {panorama.size} frame is {self.size}, expected texels of whole cells for a compute shader")
             invocations = min(32, 1 << (columns * rows - 1).bit_length())
             self._compute = context.compute("radiance_map.comp.glsl", {**defines, "INVOCATIONS": invocations})
         self._newest = np.zeros((self.size[1], self.size[0], 4), dtype=np.float32)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from renderer.frame import YuvFrame
 from renderer.light.inverse_tone_mapping import radiance_from_linear
-from renderer.light.radiance_map import RadianceMapStage, Way, map_size, packed_pixels
+from renderer.light.radiance_map import RadianceMapStage, Way, cells_of_texel, map_size, packed_pixels
 from renderer.light.ring_sampling import RingSource
 from renderer.light.specular import resample
 from renderer.panorama import PanoramaTextures
@@ -34,6 +34,8 @@ def radiance_rows(pipelines: Pipelines, effort: Effort) -> Iterator[Row]:
         frame = yuv_from_linear(world.shown)
         exact = radiance_from_linear(linear_from_yuv(frame))
         for params, mark, way, packed, divisor in VARIANTS:
+            if way is Way.COMPUTE and not cells_of_texel(frame.size, map_size(frame.size), packed_pixels(YuvFrame, frame.size))[0]:
+                continue
             yield _reduced(pipelines, frame, exact, world.name, effort, params, mark, way, packed, divisor)
         yield _papers(pipelines, frame, exact, world.name, effort)
         expected = resample(exact, *map_size(frame.size)[::-1])
