@@ -94,7 +94,7 @@ class RadianceMapStage:
         self._compute: moderngl.ComputeShader | None = None
         if self.way is Way.COMPUTE:
             if not columns:
-                raise ValueError(f"map of a {panorama.size} frame is {self.size}, expected texels of whole cells for a compute shader")
+                raise ValueError(f"map of a {panorama.size} frame is {self.size}, expected whole cells for a compute shader")
             invocations = min(32, 1 << (columns * rows - 1).bit_length())
             self._compute = context.compute("radiance_map.comp.glsl", {**defines, "INVOCATIONS": invocations})
         self._newest = np.zeros((self.size[1], self.size[0], 4), dtype=np.float32)
