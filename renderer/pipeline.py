@@ -36,7 +36,7 @@ from renderer.scene import Lighting, Scene
 from renderer.scene_light import LitScene, SceneLightStage
 from renderer.timings import Timings
 
-STEADY_FRAMES = 10      # under the same light: drawing all layers takes longer than compositing without them
+STEADY_FRAMES = 2       # under the same light, after which most objects look the same too
 
 
 @dataclass(frozen=True)
