@@ -14,7 +14,8 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.compositing.tile_plan import POINT_INTS, POINT_LAYOUT, SLOTS, Batch, TilePlan, coverage_points, make_plan
+from renderer.compositing.coverage import PERSPECTIVE, CoverageStage, points_array
+from renderer.compositing.tile_plan import ATLAS_COLUMNS, POINT_INTS, SLOTS, Batch, TilePlan, make_plan
 from renderer.frame import RadianceFrame, RgbFrame, YuvFrame
 from renderer.gl import Context, release_all, set_uniforms
 from renderer.objects.placement import TILE, TileMask, View
@@ -26,7 +27,6 @@ from renderer.shadows.shadow_atlas import ShadowAtlases, ShadowMap
 
 Array = NDArray[np.float64]
 MAX_SHADOWS = 64               # of each kind in one frame; as in composite.vert.glsl
-ATLAS_COLUMNS = 32
 FIRST_UNIT = 16           # after those of the object stage, which draws in between
 
 DrawView = Callable[[View], Drawn]
@@ -52,7 +52,7 @@ class Output(Enum):
         return "mirrored_pixels.frag.glsl" if self is Output.MIRRORS else "composite.frag.glsl"
 
 
-NO_VIEW, PERSPECTIVE, CUBE_FACE = 0, 1, 2     # as in composite.frag.glsl
+NO_VIEW, CUBE_FACE = 0, 2      # beside PERSPECTIVE, as in composite.frag.glsl
 # kind of view; maps of lights, and of the residual; additive; with a specular floor; with catchers
 Variant = tuple[int, int, int, bool, bool, bool]
 
@@ -89,14 +89,7 @@ class CompositeStage:
         self._textures: list[moderngl.Texture] = []
         self._framebuffer: moderngl.Framebuffer | None = None
         self._points = context.gl.buffer(reserve=4 * POINT_INTS * 256)
-        self._coverage_program = context.program("composite.vert.glsl", "coverage.frag.glsl", {
-            **self._outputs, "VIEW": PERSPECTIVE, "MAPS": 0, "AMBIENTS": 0, "COVERAGE": 1})
-        set_uniforms(self._coverage_program, {"frame_size": panorama.size, "tile_fragments": self._fragments, "tile_pixels": TILE,
-                                              "atlas_columns": ATLAS_COLUMNS})
-        self._coverage_points = context.gl.buffer(reserve=4 * POINT_INTS * 256)
-        self._coverage_array = self._vertex_array(self._coverage_program, self._coverage_points)
-        self._covered: list[View] = []      # the views whose coverage is in the atlas
-        self._make_coverage(8)
+        self._coverage = CoverageStage(context, panorama.size, FIRST_UNIT + 3, in_fours=output is Output.CODES)
 
     def run(self, views: list[View], draw_view: DrawView, maps: list[ShadowMap], ambient: list[ShadowMap],
             ground: GroundLight, atlases: ShadowAtlases, floor: SpecularFloor | None = None,
@@ -121,8 +114,7 @@ class CompositeStage:
         self._ratios = [] if catchers is None else [catchers.picture(view)[0] for view in catchers.views]
         assert self._framebuffer is not None
         self._context.gl.enable_only(moderngl.PROGRAM_POINT_SIZE)
-        self._draw_coverage(drawn)
-        self._coverage.use(FIRST_UNIT + 3)
+        self._coverage.use(drawn)
         self._framebuffer.use()
         self._last_drawn = next(iter(drawn), None)
         for view, batches in zip([*drawn, None], plan.batches, strict=True):
@@ -184,13 +176,8 @@ class CompositeStage:
                 "FLOOR": int(floor), "CATCHERS": int(catchers)})
         program = self._programs[variant]
         if variant not in self._vertex_arrays:
-            self._vertex_arrays[variant] = self._vertex_array(program, self._points)
+            self._vertex_arrays[variant] = points_array(self._context, program, self._points)
         return program, self._vertex_arrays[variant]
-
-    def _vertex_array(self, program: moderngl.Program, points: moderngl.Buffer) -> moderngl.VertexArray:
-        names = [name for name, _ in POINT_LAYOUT if name in program]
-        layout = " ".join(f"{count}i" if name in program else f"{4 * count}x" for name, count in POINT_LAYOUT)
-        return self._context.gl.vertex_array(program, [(points, layout, *names)])
 
     def _constants(self, maps: list[ShadowMap], ambient: list[ShadowMap], ground: GroundLight) -> dict[str, object]:
         assert self._framebuffer is not None
@@ -227,40 +214,6 @@ class CompositeStage:
             if self._catchers is not None and batch.catcher >= 0:
                 _bind_catchers(program, self._catchers.views[batch.catcher], self._ratios[batch.catcher])
             vertex_array.render(moderngl.POINTS, vertices=batch.points, first=batch.first)
-
-    def _draw_coverage(self, drawn: list[Drawn]) -> None:
-        """What the views' objects cover, unless that is known."""
-        views = [one.view for one in drawn]
-        if len(views) == len(self._covered) and all(a is b for a, b in zip(views, self._covered, strict=True)):
-            return
-        self._covered = views
-        points = coverage_points(views)
-        rows = -(-len(points) // ATLAS_COLUMNS)
-        if rows * self._fragments > self._coverage.height:
-            self._context.rest()
-            release_all(self._coverage_target, self._coverage)
-            self._make_coverage(-(-rows // 8) * 8)
-        self._coverage_target.use()
-        program = self._coverage_program
-        set_uniforms(program, {"atlas_size": self._coverage.size})
-        if self._coverage_points.size < points.nbytes:
-            self._coverage_array.release()
-            self._coverage_points.orphan(2 * points.nbytes)
-            self._coverage_array = self._vertex_array(program, self._coverage_points)
-        self._coverage_points.write(points)
-        first = 0
-        for one in drawn:
-            one.silhouette.use(FIRST_UNIT + 3)
-            set_uniforms(program, {"view_from_world": one.view.rotation.T, "silhouette": FIRST_UNIT + 3,
-                                   "silhouette_from_tangent": one.silhouette_from_tangent.T})
-            count = int(one.view.tiles.sum())
-            self._coverage_array.render(moderngl.POINTS, vertices=count, first=first)
-            first += count
-
-    def _make_coverage(self, rows: int) -> None:
-        size = (ATLAS_COLUMNS * self._fragments, rows * self._fragments)
-        self._coverage = self._context.texture(size, 4 if self._output is Output.CODES else 1, "f1", linear=False)
-        self._coverage_target = self._context.gl.framebuffer([self._coverage])
 
     def tiles(self, count: int, attachment: int) -> NDArray[Any]:
         """(count, fragments, fragments, 4) tiles of an atlas."""
@@ -308,7 +261,7 @@ class CompositeStage:
     def release(self) -> None:
         self._release_target()
         release_all(*self._vertex_arrays.values(), *self._programs.values(), self._points)
-        release_all(self._coverage_array, self._coverage_points, self._coverage_target, self._coverage, self._coverage_program)
+        self._coverage.release()
 
 
 def _same(one: TileMask | None, other: TileMask | None) -> bool:

@@ -15,6 +15,7 @@ from renderer.shadows.shadow_atlas import ShadowMap
 # Few, because each has to be compiled before the first frame.
 SLOTS = ((0, 1), (1, 1), (2, 2), (8, 4))
 POINT_LAYOUT = (("tile", 3), ("maps_low", 4), ("maps_high", 4), ("ambients", 4), ("coverage_slot", 1))
+ATLAS_COLUMNS = 32          # tiles a row of what is drawn
 POINT_INTS = sum(count for _, count in POINT_LAYOUT)
 
 
