@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import pytest
 
 from renderer.gl import Context
+from server.bench.pipelines import Pipelines
 
 
 @pytest.fixture(scope="session")
@@ -21,3 +22,10 @@ def context(shared_context: Context) -> Iterator[Context]:
     assert shared_context.gl.error == "GL_NO_ERROR"
     yield shared_context
     assert shared_context.gl.error == "GL_NO_ERROR"
+
+
+@pytest.fixture(scope="module")
+def pipelines(shared_context: Context) -> Iterator[Pipelines]:
+    kept = Pipelines(shared_context)
+    yield kept
+    kept.release()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -11,7 +9,6 @@ from hypothesis import strategies as st
 
 from renderer.equirectangular import pixel_directions, solid_angles
 from renderer.frame import RadianceFrame
-from renderer.gl import Context
 from renderer.light.inverse_tone_mapping import WEIGHTS
 from renderer.scene import Lighting
 from server.bench.hard_cases import METHODS, MissedError, is_finite, light_cases, nearly, outcomes
@@ -20,13 +17,6 @@ from tests.renderer.frames import noise_frame
 from tests.renderer.light_maps import HEIGHT, WIDTH, detect, direction, disc, radiance_map
 
 CASES = light_cases()
-
-
-@pytest.fixture(scope="module")
-def pipelines(shared_context: Context) -> Iterator[Pipelines]:
-    kept = Pipelines(shared_context)
-    yield kept
-    kept.release()
 
 
 @pytest.mark.usefixtures("context")

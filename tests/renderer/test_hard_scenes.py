@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 
@@ -17,13 +15,6 @@ from server.bench.pipelines import Pipelines
 from tests.renderer.frames import sky_with_sun
 
 CASES = scene_cases()
-
-
-@pytest.fixture(scope="module")
-def pipelines(shared_context: Context) -> Iterator[Pipelines]:
-    kept = Pipelines(shared_context)
-    yield kept
-    kept.release()
 
 
 @pytest.mark.usefixtures("context")
