@@ -9,17 +9,8 @@ from importlib.metadata import PackageNotFoundError, version
 from fastapi import FastAPI
 from starlette.middleware.cors import CORSMiddleware
 
-from server import (
-    asset_routes,
-    health_routes,
-    live_routes,
-    page_routes,
-    problems,
-    scene_routes,
-    stream_routes,
-    whep_routes,
-)
 from server.config import Settings
+from server.routes import assets, health, live, pages, problems, scenes, streams, whep
 from server.service import Service
 
 DESCRIPTION = ("Live 360-degree video as backdrop and light source for virtual objects, streamed to WebXR. WebSockets: "
@@ -48,7 +39,7 @@ def create_app(settings: Settings) -> FastAPI:
             allow_methods=["GET", "HEAD", "POST", "PUT", "PATCH", "DELETE"],
             allow_headers=["Authorization", "Content-Type", "If-Match"],
             expose_headers=["Accept-Patch", "ETag", "Link", "Location", "Retry-After"])
-    for routes in (stream_routes, scene_routes, live_routes, asset_routes, whep_routes, health_routes, page_routes):
+    for routes in (streams, scenes, live, assets, whep, health, pages):
         app.include_router(routes.router)
     return app
 

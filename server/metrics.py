@@ -49,9 +49,9 @@ class Metrics:
     def exposition(self, streams: Iterable[Stream]) -> bytes:
         """The text that Prometheus scrapes."""
         for stream in streams:
-            values = {"viewers": len(stream.fanout), "worker_ready": int(stream.ready),
-                      "worker_restarts": stream.restarts, "packets_delivered": stream.fanout.delivered,
-                      "dropped_after_encoder": stream.fanout.dropped,
+            values = {"viewers": stream.tracks.viewers, "worker_ready": int(stream.ready),
+                      "worker_restarts": stream.restarts, "packets_delivered": stream.tracks.delivered,
+                      "dropped_after_encoder": stream.tracks.dropped,
                       **{QUALITY_GAUGES[key]: value for key, value in stream.worker_stats.get("quality", {}).items()
                          if key in QUALITY_GAUGES}}
             for name, value in values.items():

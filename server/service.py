@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from server.assets import Assets
 from server.config import IceServer, Settings
+from server.delivery.whep import WhepSessions
 from server.metrics import Metrics
 from server.source_url import check_network_source, check_source_network
 from server.stream import Stream
 from server.streams import LIVE, Streams
-from server.whep import WhepSessions
 
 
 class Service:

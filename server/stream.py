@@ -11,13 +11,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from server.delivery.fanout import EncodedFrame
+from server.delivery.tracks import AUDIO, Tracks
 from server.event_outbox import Event, EventOutbox
-from server.fanout import EncodedFrame, FanOut
 from server.live_scene import LiveScene
 from server.metrics import StreamMetrics
 from server.newest import Newest
-from server.packet_track import shared_packet
 from server.percentiles import Percentiles
+from server.renditions import LADDER, Rendition
 from server.source_url import is_file_source, masked
 from server.supervisor import Supervisor
 from server.worker.messages import Message
@@ -40,6 +41,7 @@ class StreamSettings:
     assets_dir: str
     require_gpu: bool
     bitrate_bps: int | None
+    renditions: tuple[Rendition, ...] = LADDER
 
 
 class Stream:
@@ -57,14 +59,15 @@ class Stream:
         self.worker_stats: dict[str, Any] = {}
         self.latency_ms = Percentiles()
         self.live_scene = LiveScene(self._scene_changed)
-        self.fanout = FanOut(request_keyframe=self._request_keyframe, viewers_changed=self._viewers_changed)
+        self.tracks = Tracks(request_keyframe=self._request_keyframe, demand_changed=self._demand_changed)
         self._settings = settings
         self._metrics = metrics
         self._light_subscribers: set[Newest[str]] = set()
         self._events: set[EventOutbox] = set()
         self._snapshot: asyncio.Future[bytes] | None = None
         self._snapshot_request = 0
-        self._newest_timestamp = 0
+        self._newest_timestamp = 0                  # in ticks of 1 / 90000 s since the stream began
+        self._viewers_told = 0
         self._timestamp_at = 0.0
         self._supervisor = Supervisor(self)
 
@@ -86,16 +89,16 @@ class Stream:
             "source": None if self.source is None else masked(self.source),
             "state": self.state, "detail": self.detail,
             "input": self.input, "output": self.output, "flags": self.flags,
-            "viewers": len(self.fanout),
+            "viewers": self.tracks.viewers,
             "worker": {"ready": self.ready, "restarts": self.restarts, "renderer": self._supervisor.renderer},
         }
 
     def stats(self) -> dict[str, Any]:
         return {
             **self.worker_stats,
-            "viewers": len(self.fanout),
-            "packets_delivered": self.fanout.delivered,
-            "dropped_after_encoder": self.fanout.dropped,
+            "viewers": self.tracks.viewers,
+            "packets_delivered": self.tracks.delivered,
+            "dropped_after_encoder": self.tracks.dropped,
             "latency_ms": self.latency_ms.summary(),
             "worker_restarts": self.restarts,
         }
@@ -145,7 +148,7 @@ class Stream:
 
     async def snapshot(self) -> bytes:
         """The newest composite as JPEG. Raises SnapshotError."""
-        if not len(self.fanout) and not self._light_subscribers:
+        if not self.tracks.wanted and not self._light_subscribers:
             await self.newest_lights()      # nothing is being rendered: have one frame made for this
         if self._snapshot is None:
             self._snapshot = asyncio.get_running_loop().create_future()
@@ -173,12 +176,13 @@ class Stream:
             "allow_files": is_file_source(self.source), "require_gpu": self._settings.require_gpu,
             "assets": self._settings.assets_dir, "bitrate_bps": self._settings.bitrate_bps,
             "scene": self.live_scene.as_json(), "revision": self.live_scene.revision,
-            "timestamp": first & 0xFFFFFFFF,
+            "renditions": [rendition.model_dump() for rendition in self._settings.renditions],
+            "timestamp": first,
         }
 
     def worker_started(self) -> None:
         self._send_demand()
-        self.fanout.encoder_replaced()
+        self.tracks.encoders_replaced()
 
     def worker_ready(self) -> None:
         if self.state == "failed":
@@ -217,11 +221,13 @@ class Stream:
                 raise ValueError(f"message type is {unknown!r}, expected one of ARCHITECTURE.md")
 
     def _receive_packet(self, message: Message, payload: bytes) -> None:
-        timestamp = int(message["timestamp"])
-        self._newest_timestamp, self._timestamp_at = timestamp, time.monotonic()
-        self._metrics.render_seconds.observe(float(message["render_ms"]) / 1000.0)
-        self.fanout.publish(EncodedFrame(shared_packet(payload, timestamp), bool(message["keyframe"]),
-                                         float(message["decoded_at"])))
+        track, timestamp = str(message["track"]), int(message["timestamp"])
+        if track != AUDIO:
+            self._newest_timestamp, self._timestamp_at = timestamp, time.monotonic()
+            self._metrics.render_seconds.observe(float(message["render_ms"]) / 1000.0)
+        self.tracks.publish(track, EncodedFrame(payload, timestamp, keyframe=bool(message["keyframe"]),
+                                                decoded_at=float(message["decoded_at"]),
+                                                scene_revision=int(message.get("revision", 0))))
 
     def _receive_lights(self, lights: dict[str, Any]) -> None:
         self.lights = dict(lights)
@@ -243,16 +249,18 @@ class Stream:
     # --- to the worker ---------------------------------------------------------------------------------------------
 
     def _send_demand(self) -> None:
-        self._supervisor.send({"type": "demand", "viewers": len(self.fanout), "lights": len(self._light_subscribers)})
+        self._supervisor.send({"type": "demand", "tracks": self.tracks.wanted, "lights": len(self._light_subscribers)})
 
-    def _request_keyframe(self) -> None:
-        self._supervisor.send({"type": "keyframe"})
+    def _request_keyframe(self, track: str) -> None:
+        self._supervisor.send({"type": "keyframe", "track": track}, slot=f"keyframe {track}")
 
     # --- changes ---------------------------------------------------------------------------------------------------
 
-    def _viewers_changed(self) -> None:
+    def _demand_changed(self) -> None:
         self._send_demand()
-        self._publish(self._viewers_event())
+        if self.tracks.viewers != self._viewers_told:
+            self._viewers_told = self.tracks.viewers
+            self._publish(self._viewers_event())
 
     def _scene_changed(self, live: LiveScene, changed_id: str | None) -> None:
         self._supervisor.send({"type": "scene", "scene": live.as_json(), "revision": live.revision})
@@ -285,4 +293,4 @@ class Stream:
                 "output": self.output, "flags": self.flags}
 
     def _viewers_event(self) -> Event:
-        return {"type": "viewers", "count": len(self.fanout)}
+        return {"type": "viewers", "count": self.tracks.viewers}

@@ -52,10 +52,10 @@ class Supervisor:
         """The worker has its GL, and no reason to replace it has been seen."""
         return self._got_ready and self._worker is not None
 
-    def send(self, message: Message) -> None:
+    def send(self, message: Message, slot: str | None = None) -> None:
         """Send to the worker if there is one: a new one is told everything at its start."""
         if self._worker is not None:
-            self._worker.send(message)
+            self._worker.send(message, slot)
 
     async def run(self) -> None:
         pause, failed_starts = BACKOFF_S[0], 0

@@ -1,7 +1,7 @@
 """The operating-system process of one worker: start, messages both ways, watch, stop.
 
-Nothing here waits for the worker: outgoing messages lie in one slot per type (a newer one replaces it), a worker that
-falls silent is killed, and one that does not end when asked is killed too.
+Nothing here waits for the worker: outgoing messages lie in one slot per type (a newer one replaces it; keyframe
+requests in one per track), a worker that falls silent is killed, and one that does not end when asked is killed too.
 """
 
 from __future__ import annotations
@@ -74,9 +74,10 @@ class WorkerProcess:
     def pid(self) -> int:
         return self._process.pid
 
-    def send(self, message: Message) -> None:
-        """Send, at the latest when the worker reads again; until then a newer message of the type takes its place."""
-        self._outgoing[message["type"]] = message
+    def send(self, message: Message, slot: str | None = None) -> None:
+        """Send, at the latest when the worker reads again; until then a newer message of the slot (by default: of the type) takes
+        its place."""
+        self._outgoing[slot or message["type"]] = message
         self._has_outgoing.set()
 
     async def run(self, receive: Receive) -> str:

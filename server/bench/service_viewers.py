@@ -21,7 +21,7 @@ from aiortc.codecs.base import Decoder
 from aiortc.jitterbuffer import JitterFrame
 from av.frame import Frame
 
-from server.aiortc_hooks import decode_with
+from server.delivery.aiortc_hooks import decode_with
 from server.demo.keyframe_decoder import is_keyframe
 from server.demo.viewer import REPORT_EVERY_S, Viewer, ViewerError
 

@@ -30,7 +30,7 @@ from aiortc import (
 )
 from aiortc.mediastreams import MediaStreamError
 
-from server.aiortc_hooks import decode_with
+from server.delivery.aiortc_hooks import decode_with
 from server.demo.keyframe_decoder import KeyframeDecoder
 
 REQUEST_LIMIT_S = 10.0

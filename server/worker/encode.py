@@ -33,6 +33,7 @@ class Composited:
     decoded_at: float
     render_ms: float
     stages_ms: dict[str, float] = field(default_factory=dict)
+    revision: int = 0       # of the scene in it
 
 
 OnPacket = Callable[[bytes, bool, Composited], None]

@@ -56,7 +56,8 @@ class RenderLoop:
         self._scene = Scene.model_validate(start.get("scene") or {})
         self._revision = int(start.get("revision", 0))
         self._rendered_revision = -1
-        self._viewers = self._light_clients = 0
+        self._watched = False                       # somebody takes pictures
+        self._light_clients = 0
         self.frames: Newest[Decoded] = Newest(BURST_S)
         self._encode = EncodeThread(self._on_packet)
         self._encode.set_bitrate(start.get("bitrate_bps"))
@@ -99,7 +100,7 @@ class RenderLoop:
                 raise self._encode.error
             if decoded is not None:
                 self._process(decoded)
-            elif self._last is not None and self._viewers and time.monotonic() - self._last_render > REPEAT_AFTER_S:
+            elif self._last is not None and self._watched and time.monotonic() - self._last_render > REPEAT_AFTER_S:
                 self._repeat()
 
     def _allow(self, seconds: float) -> None:
@@ -125,9 +126,7 @@ class RenderLoop:
         elif kind == "source":
             self._set_source(message["source"])
         elif kind == "demand":
-            if int(message["viewers"]) > self._viewers:
-                self._encode.request_keyframe()
-            self._viewers, self._light_clients = int(message["viewers"]), int(message["lights"])
+            self._watched, self._light_clients = bool(message["tracks"]), int(message["lights"])
         elif kind == "keyframe":
             self._encode.request_keyframe()
         elif kind == "bitrate":
@@ -180,7 +179,7 @@ class RenderLoop:
         geometry = {"width": frame.width, "height": frame.height, "pix_fmt": frame.format.name}
         self._report_state(flags=flags, input={**(self._state["input"] or {}), **geometry})
         self._frame_number += 1
-        if self._viewers and self._frame_number % self._budget.effort.frame_step:
+        if self._watched and self._frame_number % self._budget.effort.frame_step:
             self._skipped += 1
             return
         started = time.perf_counter()
@@ -190,7 +189,7 @@ class RenderLoop:
             self._report_state(source="lost", detail=str(error))
             return
         self._last = (picture, decoded)
-        if self._viewers or self._light_clients:
+        if self._watched or self._light_clients:
             self._render(picture, decoded, started, self._clock.timestamp(decoded.pts, decoded.decoded_at))
 
     def _repeat(self) -> None:
@@ -220,7 +219,7 @@ class RenderLoop:
         assert self._pipeline is not None
         assert self._follower is not None
         self._follower.look(picture)
-        if self._viewers:
+        if self._watched:
             self._composite(picture, decoded, started, timestamp)
         else:
             self._budget.rest()
@@ -242,7 +241,8 @@ class RenderLoop:
         rendered = self._pipeline.render(picture, self._scene, light=light, moment=decoded.decoded_at, output=output)
         render_ms = (time.perf_counter() - started) * 1e3
         stages, self._errors = rendered.timings.stages, rendered.errors
-        self._encode.pictures.put(Composited(output, video, self._frame_number, timestamp, decoded.decoded_at, render_ms, stages))
+        self._encode.pictures.put(Composited(output, video, self._frame_number, timestamp, decoded.decoded_at, render_ms, stages,
+                                             self._revision))
         self._newest_composite = output
         self._statistics.touched_fraction = rendered.touched_fraction
         found: FrameLight | None = rendered.light
@@ -273,13 +273,14 @@ class RenderLoop:
         self._send({"type": "lights", "message": message}, b"")
 
     def _on_packet(self, payload: bytes, is_keyframe: bool, item: Composited) -> None:
-        self._send({"type": "packet", "frame": item.frame, "timestamp": item.timestamp, "keyframe": is_keyframe,
-                    "decoded_at": item.decoded_at, "render_ms": round(item.render_ms, 3),
+        self._send({"type": "packet", "track": "full/h264", "frame": item.frame, "timestamp": item.timestamp,
+                    "keyframe": is_keyframe, "revision": item.revision, "decoded_at": item.decoded_at,
+                    "render_ms": round(item.render_ms, 3),
                     "stages_ms": {name: round(value, 3) for name, value in item.stages_ms.items()}}, payload)
 
     def _snapshot(self, request: int) -> None:
         picture = self._newest_composite
-        if self._pipeline is not None and self._last is not None and not self._viewers:
+        if self._pipeline is not None and self._last is not None and not self._watched:
             rendered = self._pipeline.render(self._last[0], self._scene)
             assert isinstance(rendered.frame, YuvFrame)
             picture = rendered.frame

@@ -15,11 +15,12 @@ import pytest_asyncio
 from aiortc import RTCConfiguration, RTCPeerConnection, RTCRtpReceiver, RTCRtpSender, rtcrtpreceiver, rtcrtpsender
 from aiortc.rtp import RTCP_PSFB_FIR, RtcpPsfbPacket, RtpPacket
 
-from server import aiortc_hooks
+from server.delivery import aiortc_hooks
+from server.delivery.fanout import EncodedFrame
+from server.delivery.packet_track import PacketTrack
+from server.delivery.tracks import Tracks
+from server.delivery.whep import _h264_with_retransmission
 from server.demo.keyframe_decoder import KeyframeDecoder, is_keyframe
-from server.fanout import EncodedFrame, FanOut
-from server.packet_track import PacketTrack, shared_packet
-from server.whep import _h264_with_retransmission
 
 FIRST_TIMESTAMP = 4294960000        # wraps after a few frames
 LIMIT_S = 20.0
@@ -45,7 +46,7 @@ def access_units(count: int, keyframe_interval: int = 1) -> list[bytes]:
 class Pair:
     """A sender with hooks and a receiver, connected."""
 
-    fanout: FanOut
+    tracks: Tracks
     sender: RTCRtpSender
     receiver: RTCRtpReceiver
     keyframe_requests: list[float]
@@ -55,7 +56,7 @@ class Pair:
         """Send one access unit and wait for its last packet: both peers share this loop, and a receiver that is not
         served loses what its socket's buffer cannot hold."""
         before = self._ends()
-        self.fanout.publish(EncodedFrame(shared_packet(unit, timestamp), True, time.monotonic()))
+        self.tracks.publish("full/h264", EncodedFrame(unit, timestamp, keyframe=True, decoded_at=time.monotonic()))
         await until(lambda: self._ends() > before)
 
     def _ends(self) -> int:
@@ -72,18 +73,18 @@ async def until(condition: Callable[[], object]) -> None:
 async def pair() -> AsyncIterator[Pair]:
     aiortc_hooks.install()
     requests: list[float] = []
-    fanout = FanOut(request_keyframe=lambda: None, viewers_changed=lambda: None)
+    tracks = Tracks(request_keyframe=lambda track: None, demand_changed=lambda: None)
     ours = RTCPeerConnection(RTCConfiguration(iceServers=[]))
     theirs = RTCPeerConnection(RTCConfiguration(iceServers=[]))
     try:
         receiving = theirs.addTransceiver("video", direction="recvonly")
         await theirs.setLocalDescription(await theirs.createOffer())
-        sending = ours.addTransceiver(PacketTrack(fanout, lambda seconds: None), direction="sendonly")
+        sending = ours.addTransceiver(PacketTrack(tracks, "full/h264", lambda seconds: None), direction="sendonly")
         sending.setCodecPreferences(_h264_with_retransmission())
         aiortc_hooks.on_keyframe_request(sending.sender, lambda: requests.append(time.monotonic()))
         await ours.setRemoteDescription(theirs.localDescription)
         await ours.setLocalDescription()
-        connected = Pair(fanout, sending.sender, receiving.receiver, requests)
+        connected = Pair(tracks, sending.sender, receiving.receiver, requests)
         handle = receiving.receiver._handle_rtp_packet
 
         async def record(packet: RtpPacket, arrival_time_ms: int) -> None:
@@ -92,7 +93,7 @@ async def pair() -> AsyncIterator[Pair]:
 
         receiving.receiver._handle_rtp_packet = record      # type: ignore[method-assign]
         await theirs.setRemoteDescription(ours.localDescription)
-        await until(lambda: len(fanout) == 1)
+        await until(lambda: tracks.viewers == 1)
         yield connected
     finally:
         await ours.close()

@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from server.fanout import MAX_QUEUED_FRAMES, EncodedFrame, FanOut, Viewer
-from server.packet_track import shared_packet
+from server.delivery.fanout import MAX_QUEUED_FRAMES, EncodedFrame, FanOut, Taker
 
 
 @dataclass
@@ -21,24 +20,24 @@ def fanout_with_calls() -> tuple[FanOut, Calls]:
     def request_keyframe() -> None:
         calls.keyframes += 1
 
-    fanout = FanOut(request_keyframe=request_keyframe, viewers_changed=lambda: calls.counts.append(len(fanout)))
+    fanout = FanOut(request_keyframe=request_keyframe, takers_changed=lambda: calls.counts.append(len(fanout)))
     return fanout, calls
 
 
 def frame(number: int, *, keyframe: bool = False) -> EncodedFrame:
-    return EncodedFrame(shared_packet(b"\0\0\0\1\x65", number), keyframe, 0.0)
+    return EncodedFrame(b"\0\0\0\1\x65", number, keyframe=keyframe, decoded_at=0.0)
 
 
-async def take(viewer: Viewer, count: int) -> list[int | None]:
-    return [(await asyncio.wait_for(viewer.next_frame(), 5)).packet.pts for _ in range(count)]
+async def take(viewer: Taker, count: int) -> list[int]:
+    return [(await asyncio.wait_for(viewer.next_frame(), 5)).timestamp for _ in range(count)]
 
 
-async def queued(viewer: Viewer) -> list[int | None]:
+async def queued(viewer: Taker) -> list[int]:
     """Everything that lies in the viewer's queue."""
     numbers = []
     while True:
         try:
-            numbers.append((await asyncio.wait_for(viewer.next_frame(), 0.05)).packet.pts)
+            numbers.append((await asyncio.wait_for(viewer.next_frame(), 0.05)).timestamp)
         except TimeoutError:
             return numbers
 
@@ -47,7 +46,7 @@ async def test_every_viewer_gets_the_same_packet() -> None:
     fanout, _ = fanout_with_calls()
     one, two = fanout.join(), fanout.join()
     fanout.publish(frame(1, keyframe=True))
-    assert (await one.next_frame()).packet is (await two.next_frame()).packet
+    assert await one.next_frame() is await two.next_frame()
     assert fanout.delivered == 2
 
 
@@ -90,7 +89,7 @@ async def test_overflow_at_a_keyframe_goes_on_with_it() -> None:
 async def test_a_viewer_that_never_reads_disturbs_nobody() -> None:
     fanout, _ = fanout_with_calls()
     silent, reading = fanout.join(), fanout.join()
-    received: list[int | None] = []
+    received: list[int] = []
     for number in range(5 * MAX_QUEUED_FRAMES):
         fanout.publish(frame(number, keyframe=number == 0))
         received += await take(reading, 1)

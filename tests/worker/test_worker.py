@@ -32,7 +32,7 @@ class RealWorker:
                                          pass_fds=[theirs.fileno()])
         theirs.close()
         self.send({"type": "start", "stream": "live", "source": str(picture), "allow_files": True, "scene": {}, "revision": 0})
-        self.send({"type": "demand", "viewers": 1, "lights": 0})
+        self.send({"type": "demand", "tracks": ["full/h264"], "lights": 0})
         self._decoder = av.CodecContext.create("h264", "r")
 
     def send(self, message: dict[str, Any]) -> None:

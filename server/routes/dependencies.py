@@ -8,7 +8,7 @@ from typing import Annotated
 from fastapi import Depends
 from starlette.requests import HTTPConnection
 
-from server.problems import Problem, shown
+from server.routes.problems import Problem, shown
 from server.service import Service
 from server.stream import Stream
 

@@ -6,11 +6,11 @@ from http import HTTPStatus
 
 from fastapi import APIRouter, Request, Response
 
-from server.dependencies import ServiceDep, StreamDep
-from server.problems import Problem, shown
-from server.sdp_offer import MAX_FRAGMENT_BYTES, MAX_OFFER_BYTES, CodecError, OfferError, parse_fragment
-from server.strict_json import media_type, read_body
-from server.whep import RETRY_AFTER_S, TooManyViewersError, WhepSession
+from server.delivery.sdp_offer import MAX_FRAGMENT_BYTES, MAX_OFFER_BYTES, CodecError, OfferError, parse_fragment
+from server.delivery.whep import RETRY_AFTER_S, TooManyViewersError, WhepSession
+from server.routes.dependencies import ServiceDep, StreamDep
+from server.routes.problems import Problem, shown
+from server.routes.strict_json import media_type, read_body
 
 OFFER_TYPE = "application/sdp"
 FRAGMENT_TYPE = "application/trickle-ice-sdpfrag"

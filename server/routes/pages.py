@@ -8,9 +8,9 @@ from importlib.resources import files
 
 from fastapi import APIRouter, Request, Response
 
-from server.api_reference import STYLE, STYLE_PATH, api_reference
-from server.dependencies import ServiceDep
-from server.problems import Problem, shown
+from server.routes.api_reference import STYLE, STYLE_PATH, api_reference
+from server.routes.dependencies import ServiceDep
+from server.routes.problems import Problem, shown
 from server.service import Service
 
 CONTENT_TYPES = {

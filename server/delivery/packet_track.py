@@ -10,7 +10,8 @@ import av
 from aiortc import MediaStreamTrack
 from aiortc.mediastreams import VIDEO_TIME_BASE, MediaStreamError
 
-from server.fanout import EncodedFrame, FanOut, Viewer
+from server.delivery.fanout import EncodedFrame, Taker
+from server.delivery.tracks import Tracks
 
 
 def shared_packet(access_unit: bytes, timestamp: int) -> av.Packet[av.VideoStream]:
@@ -26,23 +27,26 @@ class PacketTrack(MediaStreamTrack):
 
     kind = "video"
 
-    def __init__(self, fanout: FanOut, delivered: Callable[[float], None]) -> None:
+    def __init__(self, tracks: Tracks, track: str, delivered: Callable[[float], None]) -> None:
         """`delivered` is told, per packet, the seconds from the decoded source frame to the hand-over to WebRTC."""
         super().__init__()
-        self._fanout = fanout
+        self._tracks = tracks
+        self._fanout = tracks.fanout(track)
         self._delivered = delivered
-        self._viewer: Viewer | None = None
+        self._taker: Taker | None = None
 
     async def recv(self) -> av.Packet[av.VideoStream]:
         if self.readyState != "live":
             raise MediaStreamError
-        if self._viewer is None:
-            self._viewer = self._fanout.join()
-        frame: EncodedFrame = await self._viewer.next_frame()
+        if self._taker is None:
+            self._taker = self._fanout.join()
+            self._tracks.viewer_joined()
+        frame: EncodedFrame = await self._taker.next_frame()
         self._delivered(time.monotonic() - frame.decoded_at)
-        return frame.packet
+        return shared_packet(frame.data, frame.timestamp)
 
     def stop(self) -> None:
-        if self._viewer is not None:
-            self._fanout.leave(self._viewer)
+        if self._taker is not None and self.readyState == "live":
+            self._fanout.leave(self._taker)
+            self._tracks.viewer_left()
         super().stop()

@@ -8,13 +8,13 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Response
 from pydantic import BaseModel, ConfigDict, Field
 
-from server.dependencies import ServiceDep, StreamDep
-from server.problems import Problem, shown
+from server.routes.dependencies import ServiceDep, StreamDep
+from server.routes.problems import Problem, shown
+from server.routes.strict_json import StrictJsonRoute
 from server.service import Service
 from server.source_url import SourceUrlError
 from server.stream import SnapshotError
 from server.streams import LIVE, DuplicateStreamError, TooManyStreamsError
-from server.strict_json import StrictJsonRoute
 
 router = APIRouter(prefix="/api/streams", tags=["streams"], route_class=StrictJsonRoute)
 

@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 from fastapi import Request, Response
 from fastapi.routing import APIRoute
 
-from server.problems import Problem, shown
+from server.routes.problems import Problem, shown
 
 MAX_BODY_BYTES = 2 << 20
 

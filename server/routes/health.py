@@ -8,8 +8,8 @@ from typing import Any
 from fastapi import APIRouter, Response
 from prometheus_client import CONTENT_TYPE_LATEST
 
-from server.dependencies import ServiceDep
-from server.problems import Problem
+from server.routes.dependencies import ServiceDep
+from server.routes.problems import Problem
 
 router = APIRouter(tags=["operation"])
 

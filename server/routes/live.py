@@ -13,12 +13,12 @@ from fastapi import APIRouter, Depends, WebSocket, WebSocketDisconnect
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from renderer.scene import Id, Rotation, Scale, SceneObject, Vector
-from server.dependencies import ServiceDep, StreamDep
 from server.event_outbox import Event, EventOutbox
 from server.live_scene import UnknownObjectError
-from server.problems import Problem, describe_error, shown
+from server.routes.dependencies import ServiceDep, StreamDep
+from server.routes.problems import Problem, describe_error, shown
+from server.routes.strict_json import parse_json
 from server.stream import Stream
-from server.strict_json import parse_json
 
 router = APIRouter(prefix="/api/streams/{stream}", tags=["live"])
 

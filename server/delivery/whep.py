@@ -16,9 +16,10 @@ from collections.abc import Callable
 from aiortc import RTCConfiguration, RTCPeerConnection, RTCRtpCodecCapability, RTCRtpSender, RTCSessionDescription
 from aiortc.exceptions import InvalidAccessError, InvalidStateError, OperationError
 
-from server import aiortc_hooks
-from server.packet_track import PacketTrack
-from server.sdp_offer import CodecError, OfferError, TrickleFragment, parse_offer
+from server.delivery import aiortc_hooks
+from server.delivery.packet_track import PacketTrack
+from server.delivery.sdp_offer import CodecError, OfferError, TrickleFragment, parse_offer
+from server.delivery.tracks import video_track
 from server.stream import Stream
 
 logger = logging.getLogger(__name__)
@@ -42,7 +43,7 @@ class WhepSession:
         self.stream = stream
         # An empty list, not None: None means Google's STUN server and a pause of 5 s where that cannot be reached.
         self._connection = RTCPeerConnection(RTCConfiguration(iceServers=[]))
-        self._track = PacketTrack(stream.fanout, stream.delivered)
+        self._track = PacketTrack(stream.tracks, video_track("full", "h264"), stream.delivered)
         self._closed = closed
         self._closing: asyncio.Task[None] | None = None
         self._adding_late: asyncio.Task[None] | None = None
@@ -63,7 +64,8 @@ class WhepSession:
         transceiver = self._connection.addTransceiver(self._track, direction="sendonly")
         # Before the offer is set: aiortc chooses codecs there, else the offerer's first one, which is VP8 in browsers.
         transceiver.setCodecPreferences(_h264_with_retransmission())
-        aiortc_hooks.on_keyframe_request(transceiver.sender, self.stream.fanout.request_keyframe)
+        request_keyframe = self.stream.tracks.fanout(video_track("full", "h264")).request_keyframe
+        aiortc_hooks.on_keyframe_request(transceiver.sender, request_keyframe)
         self._connection.on("connectionstatechange", self._state_changed)
         try:
             async with asyncio.timeout(NEGOTIATE_LIMIT_S):

@@ -9,13 +9,13 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Body, Header, Response
 
 from renderer.scene import Scene, SceneObject
-from server.dependencies import ServiceDep, StreamDep
 from server.live_scene import DuplicateObjectError, UnknownObjectError
 from server.merge_patch import merge_patch
-from server.problems import Problem, shown
+from server.routes.dependencies import ServiceDep, StreamDep
+from server.routes.problems import Problem, shown
+from server.routes.strict_json import StrictJsonRoute
 from server.service import Service
 from server.stream import Stream
-from server.strict_json import StrictJsonRoute
 
 router = APIRouter(prefix="/api/streams/{stream}", tags=["scene"], route_class=StrictJsonRoute)
 

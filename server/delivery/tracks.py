@@ -1,0 +1,68 @@
+"""The encoded tracks of one stream: each rendition in each codec, and the sound. One is encoded while somebody takes it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+from server.delivery.fanout import EncodedFrame, FanOut
+
+AUDIO = "audio/opus"
+
+
+def video_track(rendition: str, codec: str) -> str:
+    """The name of a track in messages: `full/h264`, `low/vp8`; the sound is `audio/opus`."""
+    return f"{rendition}/{codec}"
+
+
+class Tracks:
+    """Owner of a stream's fan-outs. `demand_changed` is called when a track gets its first taker or loses its last one,
+    and when the number of viewers changes."""
+
+    def __init__(self, *, request_keyframe: Callable[[str], None], demand_changed: Callable[[], None]) -> None:
+        self._request_keyframe = request_keyframe
+        self._demand_changed = demand_changed
+        self._fanouts: dict[str, FanOut] = {}
+        self.viewers = 0
+
+    def fanout(self, track: str) -> FanOut:
+        if track not in self._fanouts:
+            self._fanouts[track] = FanOut(request_keyframe=partial(self._keyframe, track), takers_changed=self._demand_changed,
+                                          keyframes=track != AUDIO)
+        return self._fanouts[track]
+
+    @property
+    def wanted(self) -> list[str]:
+        """Names of the tracks that somebody takes."""
+        return sorted(track for track, fanout in self._fanouts.items() if len(fanout))
+
+    @property
+    def delivered(self) -> int:
+        """Frames handed to takers, of all tracks but the sound."""
+        return sum(fanout.delivered for track, fanout in self._fanouts.items() if track != AUDIO)
+
+    @property
+    def dropped(self) -> int:
+        """Frames that slow takers lost, of all tracks but the sound."""
+        return sum(fanout.dropped for track, fanout in self._fanouts.items() if track != AUDIO)
+
+    def publish(self, track: str, frame: EncodedFrame) -> None:
+        if track in self._fanouts:      # nobody else can want it
+            self._fanouts[track].publish(frame)
+
+    def viewer_joined(self) -> None:
+        self.viewers += 1
+        self._demand_changed()
+
+    def viewer_left(self) -> None:
+        self.viewers -= 1
+        self._demand_changed()
+
+    def encoders_replaced(self) -> None:
+        """The packets that follow come from other encoders: every taker goes on at a keyframe."""
+        for fanout in self._fanouts.values():
+            fanout.encoder_replaced()
+
+    def _keyframe(self, track: str) -> None:
+        if track != AUDIO:
+            self._request_keyframe(track)
