@@ -79,6 +79,11 @@ class Stream:
         return self._supervisor.ready
 
     @property
+    def rendition_names(self) -> list[str]:
+        """Of the ladder, best first."""
+        return [rendition.name for rendition in self._settings.renditions]
+
+    @property
     def restarts(self) -> int:
         return self._supervisor.restarts
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Sequence
 from functools import partial
 
 from server.delivery.fanout import EncodedFrame, FanOut
+from server.delivery.stream_clock import StreamClock
 
 AUDIO = "audio/opus"
+VIDEO_CLOCK_HZ = 90_000
 
 
 def video_track(rendition: str, codec: str) -> str:
@@ -24,6 +27,8 @@ class Tracks:
         self._demand_changed = demand_changed
         self._fanouts: dict[str, FanOut] = {}
         self.viewers = 0
+        self.clock = StreamClock()
+        self.nominal_bps: dict[str, float] = {}     # of each track, as the worker sets its encoders
 
     def fanout(self, track: str) -> FanOut:
         if track not in self._fanouts:
@@ -46,7 +51,20 @@ class Tracks:
         """Frames that slow takers lost, of all tracks but the sound."""
         return sum(fanout.dropped for track, fanout in self._fanouts.items() if track != AUDIO)
 
+    def rates(self, tracks: Sequence[str]) -> list[float]:
+        """Bits per second of each: measured where it is encoded now, else nominal, in proportion to what is measured of another.
+
+        A quiet picture takes far less than its nominal bitrate, in every rendition alike.
+        """
+        now = time.monotonic()
+        nominal = [self.nominal_bps.get(track, 0.0) for track in tracks]
+        measured = [self.fanout(track).rate.bps(now) for track in tracks]
+        used = max((bps / most for bps, most in zip(measured, nominal, strict=True) if bps is not None and most), default=1.0)
+        return [most * used if bps is None else bps for bps, most in zip(measured, nominal, strict=True)]
+
     def publish(self, track: str, frame: EncodedFrame) -> None:
+        if track != AUDIO:
+            self.clock.start(frame.timestamp, VIDEO_CLOCK_HZ, frame.decoded_at)
         if track in self._fanouts:      # nobody else can want it
             self._fanouts[track].publish(frame)
 

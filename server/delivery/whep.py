@@ -11,15 +11,22 @@ import contextlib
 import logging
 import secrets
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
-from aiortc import RTCConfiguration, RTCPeerConnection, RTCRtpCodecCapability, RTCRtpSender, RTCSessionDescription
+from aiortc import (
+    RTCConfiguration,
+    RTCPeerConnection,
+    RTCRtpCodecCapability,
+    RTCRtpSender,
+    RTCRtpTransceiver,
+    RTCSessionDescription,
+)
 from aiortc.exceptions import InvalidAccessError, InvalidStateError, OperationError
 
 from server.delivery import aiortc_hooks
-from server.delivery.packet_track import PacketTrack
+from server.delivery.feed import FeedTrack
 from server.delivery.sdp_offer import CodecError, OfferError, TrickleFragment, parse_offer
-from server.delivery.tracks import video_track
+from server.delivery.subscription import Choice, PictureFeed, SoundFeed
 from server.stream import Stream
 
 logger = logging.getLogger(__name__)
@@ -34,16 +41,22 @@ class TooManyViewersError(RuntimeError):
     """`max_viewers` is reached."""
 
 
+class UnknownRenditionError(ValueError):
+    """The stream's ladder has no rendition of that name."""
+
+
 class WhepSession:
     """One viewer's connection."""
 
-    def __init__(self, stream: Stream, closed: Callable[[WhepSession], None]) -> None:
+    def __init__(self, stream: Stream, choice: Choice, closed: Callable[[WhepSession], None]) -> None:
         self.id = secrets.token_urlsafe(24)     # the session URL is what entitles to change or end the session
         self.etag = f'"{secrets.token_hex(8)}"'
         self.stream = stream
         # An empty list, not None: None means Google's STUN server and a pause of 5 s where that cannot be reached.
         self._connection = RTCPeerConnection(RTCConfiguration(iceServers=[]))
-        self._track = PacketTrack(stream.tracks, video_track("full", "h264"), stream.delivered)
+        self._choice = choice
+        self._feeds: list[PictureFeed | SoundFeed] = []
+        self.picture: PictureFeed | None = None     # from `negotiate` on
         self._closed = closed
         self._closing: asyncio.Task[None] | None = None
         self._adding_late: asyncio.Task[None] | None = None
@@ -61,18 +74,20 @@ class WhepSession:
             OfferError, CodecError: the offer cannot be answered. The session is to be closed then.
         """
         parsed = parse_offer(offer)
-        transceiver = self._connection.addTransceiver(self._track, direction="sendonly")
+        stream = self.stream
+        self.picture = PictureFeed(stream.tracks, stream.rendition_names, parsed.codec, self._choice, stream.delivered)
+        video = self._send("video", self.picture)
         # Before the offer is set: aiortc chooses codecs there, else the offerer's first one, which is VP8 in browsers.
-        transceiver.setCodecPreferences(_h264_with_retransmission())
-        request_keyframe = self.stream.tracks.fanout(video_track("full", "h264")).request_keyframe
-        aiortc_hooks.on_keyframe_request(transceiver.sender, request_keyframe)
+        video.setCodecPreferences(_with_retransmission(parsed.codec))
+        if parsed.sound:
+            self._send("audio", SoundFeed(self.stream.tracks)).setCodecPreferences(_opus())
         self._connection.on("connectionstatechange", self._state_changed)
         try:
             async with asyncio.timeout(NEGOTIATE_LIMIT_S):
                 await self._connection.setRemoteDescription(RTCSessionDescription(parsed.text, "offer"))
                 await self._connection.setLocalDescription()
         except OperationError:
-            raise CodecError("the offer has no H.264 baseline with packetization-mode=1") from None
+            raise CodecError("the offer has no H.264 baseline with packetization-mode=1, nor VP8") from None
         except TimeoutError:
             raise OfferError(f"the offer could not be answered in {NEGOTIATE_LIMIT_S:g} s") from None
         except (InvalidAccessError, InvalidStateError, ValueError, KeyError, AttributeError) as error:
@@ -80,6 +95,10 @@ class WhepSession:
         if parsed.late.candidates:
             self._adding_late = asyncio.create_task(self._add_late(parsed.late))
         return str(self._connection.localDescription.sdp)
+
+    def _send(self, kind: str, feed: PictureFeed | SoundFeed) -> RTCRtpTransceiver:
+        self._feeds.append(feed)
+        return self._connection.addTransceiver(FeedTrack(kind, feed), direction="sendonly")
 
     async def add_candidates(self, fragment: TrickleFragment) -> None:
         """Take more of the viewer's ICE candidates. Raises OfferError."""
@@ -108,7 +127,8 @@ class WhepSession:
         self._timer.cancel()
         if self._adding_late is not None:
             self._adding_late.cancel()
-        self._track.stop()
+        for feed in self._feeds:
+            feed.close()
         try:
             async with asyncio.timeout(CLOSE_LIMIT_S):
                 await self._connection.close()
@@ -151,11 +171,21 @@ class WhepSessions:
             return None
         return session
 
-    async def open(self, stream: Stream, offer: str) -> tuple[WhepSession, str]:
-        """A new session and the SDP answer. Raises TooManyViewersError, OfferError, CodecError."""
+    async def open(self, stream: Stream, offer: str, rendition: str | None = None,
+                   at_most: str | None = None) -> tuple[WhepSession, str]:
+        """A new session and the SDP answer.
+
+        Args:
+            rendition: the one to send whatever happens; None: as the viewer's network allows.
+            at_most: the best one that may be sent, for a viewer that cannot decode better ones; None: the best there is.
+
+        Raises:
+            TooManyViewersError, UnknownRenditionError, OfferError, CodecError: there is no session then.
+        """
+        choice = _choice(stream.rendition_names, rendition, at_most)
         if len(self._sessions) >= self._max_viewers:
             raise TooManyViewersError(f"{self._max_viewers} viewers are connected, the setting max_viewers")
-        session = WhepSession(stream, self._forget)
+        session = WhepSession(stream, choice, self._forget)
         self._sessions[session.id] = session
         try:
             return session, await session.negotiate(offer)
@@ -176,9 +206,22 @@ class WhepSessions:
         self._sessions.pop(session.id, None)
 
 
-def _h264_with_retransmission() -> list[RTCRtpCodecCapability]:
-    """H.264 constrained baseline first (what we encode), then baseline, then RTX."""
-    codecs = RTCRtpSender.getCapabilities("video").codecs
-    h264 = [codec for codec in codecs if codec.mimeType == "video/H264"]
-    h264.sort(key=lambda codec: codec.parameters.get("profile-level-id") != "42e01f")
-    return h264 + [codec for codec in codecs if codec.mimeType == "video/rtx"]
+def _choice(names: Sequence[str], rendition: str | None, at_most: str | None) -> Choice:
+    for name in (rendition, at_most):
+        if name is not None and name not in names:
+            raise UnknownRenditionError(f"rendition is {name!r}, expected one of {', '.join(names)}")
+    if rendition is not None:
+        return Choice(names.index(rendition), names.index(rendition))
+    return Choice(names.index(at_most) if at_most is not None else 0, len(names) - 1)
+
+
+def _with_retransmission(codec: str) -> list[RTCRtpCodecCapability]:
+    """The codec's variants, H.264 constrained baseline first (what we encode), then RTX."""
+    known = RTCRtpSender.getCapabilities("video").codecs
+    chosen = [item for item in known if item.mimeType.lower() == f"video/{codec}"]
+    chosen.sort(key=lambda item: item.parameters.get("profile-level-id") != "42e01f")
+    return chosen + [item for item in known if item.mimeType == "video/rtx"]
+
+
+def _opus() -> list[RTCRtpCodecCapability]:
+    return [item for item in RTCRtpSender.getCapabilities("audio").codecs if item.mimeType == "audio/opus"]
