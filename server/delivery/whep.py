@@ -25,8 +25,9 @@ from aiortc import (
 )
 from aiortc.exceptions import InvalidAccessError, InvalidStateError, OperationError
 
-from server.delivery import aiortc_hooks
+from server.delivery import aiortc_hooks, ice
 from server.delivery.feed import FeedTrack
+from server.delivery.media_addresses import MediaAddresses
 from server.delivery.sdp_offer import CodecError, OfferError, TrickleFragment, parse_offer
 from server.delivery.subscription import Choice, PictureFeed, SoundFeed
 from server.stream import Stream
@@ -169,8 +170,9 @@ class WhepSession:
 class WhepSessions:
     """Owner of all sessions of all streams."""
 
-    def __init__(self, max_viewers: int) -> None:
+    def __init__(self, max_viewers: int, addresses: MediaAddresses) -> None:
         aiortc_hooks.install()
+        ice.install(addresses)
         self._max_viewers = max_viewers
         self._sessions: dict[str, WhepSession] = {}
 
