@@ -53,8 +53,9 @@ class PictureFeed:
         return self._names[self._rendition]
 
     def counts(self) -> Counter[str]:
-        return self.reception.counts() + Counter(
-            rendition_steps_down=self.adaptation.steps_down, rendition_steps_up=self.adaptation.steps_up)
+        counts = self.reception.counts()
+        counts.update(rendition_steps_down=self.adaptation.steps_down, rendition_steps_up=self.adaptation.steps_up)
+        return counts
 
     def describe(self) -> dict[str, Any]:
         """What the crew sees of this viewer's reception; rates in bits per second."""

@@ -93,12 +93,15 @@ class Tracks:
 
     def viewer_left(self, viewer: Viewer) -> None:
         self._viewers.remove(viewer)
-        self._counted += viewer.counts()
+        self._counted.update(viewer.counts())
         self._demand_changed()
 
     def counts(self) -> Counter[str]:
         """What all viewers there ever were have been sent and have asked for."""
-        return sum((viewer.counts() for viewer in self._viewers), start=+self._counted)
+        total = Counter(self._counted)
+        for viewer in self._viewers:
+            total.update(viewer.counts())       # `+` would leave out what is zero
+        return total
 
     def encoders_replaced(self) -> None:
         """The packets that follow come from other encoders: every taker goes on at a keyframe."""
