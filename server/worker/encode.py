@@ -65,7 +65,8 @@ class EncodeThread:
     `plan` is asked before every picture, and a new encoder made when its answer is another.
     """
 
-    def __init__(self, on_packet: OnPacket, *, plan: Planner = full_plan, codec: str = "h264", name: str = "encode") -> None:
+    def __init__(self, on_packet: OnPacket, *, plan: Planner = full_plan, codec: str = "h264",
+                 name: str = "full/h264 enc") -> None:
         self._on_packet = on_packet
         self._plan = plan
         self._make = ENCODERS[codec]

@@ -127,7 +127,7 @@ class Encoders:
     def _thread(self, track: str) -> EncodeThread:
         name, codec = track.split("/")
         return EncodeThread(partial(self._packet, track), plan=partial(self._plan, track, self._ladder[name]), codec=codec,
-                            name=f"enc {track}")
+                            name=f"{track} enc")
 
     def _plan(self, track: str, rendition: Rendition, size: tuple[int, int]) -> Plan:
         bitrate_bps = self._track_bitrates.get(track) or self.bitrate(size, rendition)

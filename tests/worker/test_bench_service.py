@@ -117,14 +117,14 @@ def test_the_service_beside_a_transcode(small_clips: Path, tmp_path: Path, capsy
     assert shown["triangles"] == {KNOT: run["knot_triangles"]}
     assert 0 < shown["frames_out"] <= shown["frames_in"] + FPS      # both are up to half a second old
     assert 0 < shown["touched_fraction"] < 0.5, "the objects are not in the picture"
-    assert {"main", "ingest", "enc full/h264"} <= set(shown["threads_ms_per_frame"])
+    assert {"main", "ingest", "full/h264 enc"} <= set(shown["threads_ms_per_frame"])
     assert all(value > 0 for value in shown["peak_mb"].values())
     assert set(shown["cpu_ms_per_frame"]) == {"worker", "server", "publisher", "viewer"}
     for transcode in run["transcodes"]:
         assert transcode["frames_out"] > 0
         assert transcode["frames_out"] + transcode["frames_dropped"] == pytest.approx(transcode["frames_in"], abs=4)
         assert transcode["fps"] == pytest.approx(transcode["frames_out"] / transcode["seconds"], rel=0.02)
-        assert {"main", "ingest", "encode"} <= set(transcode["threads_ms_per_frame"])
+        assert {"main", "ingest", "full/h264 enc"} <= set(transcode["threads_ms_per_frame"])
         assert transcode["mbps"] > 0
     floors = [transcode["cost_ms"] for transcode in run["transcodes"]]
     assert run["ratio"]["worker"] == pytest.approx(shown["cost_ms"] / (sum(floors) / 2), rel=0.01)
