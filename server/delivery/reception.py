@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -42,6 +43,12 @@ class Reception:
         if rtt_s is not None and rtt_s >= 0:
             self.rtt_s = rtt_s if self.rtt_s is None else RTT_SMOOTHING * self.rtt_s + (1 - RTT_SMOOTHING) * rtt_s
         self.heard(Report(now, fraction_lost, silent))
+
+    def counts(self) -> Counter[str]:
+        """What only ever grows, by the names of the metrics."""
+        return Counter(rtp_packets_sent=self.packets_sent, rtp_bytes_sent=self.bytes_sent + self.bytes_resent,
+                       rtp_packets_resent=self.packets_resent, rtp_packets_nacked=self.nacked,
+                       rtp_packets_lost=self.packets_lost, keyframe_requests=self.keyframe_requests)
 
     def estimate(self, now: float, bps: int) -> None:
         """Take a REMB (draft-alvestrand-rmcat-remb) that came at the monotonic time `now`."""

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from server.delivery.adaptation import Adaptation, Estimate
 from server.delivery.fanout import EncodedFrame, Taker
@@ -50,14 +52,26 @@ class PictureFeed:
         """What is being sent."""
         return self._names[self._rendition]
 
-    @property
-    def dropped(self) -> int:
-        return self._taker.dropped if self._taker else 0
+    def counts(self) -> Counter[str]:
+        counts = self.reception.counts()
+        counts.update(rendition_steps_down=self.adaptation.steps_down, rendition_steps_up=self.adaptation.steps_up)
+        return counts
+
+    def describe(self) -> dict[str, Any]:
+        """What the crew sees of this viewer's reception; rates in bits per second."""
+        now, reception = time.monotonic(), self.reception
+        rate = self._tracks.fanout(self._track(self._rendition)).rate.bps(now)
+        return {
+            "rendition": self.rendition, "codec": self.codec, "bitrate_bps": None if rate is None else round(rate),
+            "estimate_bps": reception.remb_bps, "fraction_lost": round(reception.fraction_lost, 4),
+            "rtt_ms": None if reception.rtt_s is None else round(1e3 * reception.rtt_s, 1),
+            "dropped": self._taker.dropped if self._taker else 0, **self.counts(),
+        }
 
     async def next_frame(self) -> EncodedFrame:
         if self._taker is None and not self._closed:
             self._taker = self._join(self._rendition)
-            self._tracks.viewer_joined()
+            self._tracks.viewer_joined(self)
         while True:
             frame = self._ready()
             if frame is not None:
@@ -128,7 +142,7 @@ class PictureFeed:
             self._leave(self.adaptation.rendition, self._next)
         if self._taker is not None:
             self._leave(self._rendition, self._taker)
-            self._tracks.viewer_left()
+            self._tracks.viewer_left(self)
 
 
 class SoundFeed:

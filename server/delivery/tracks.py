@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Protocol
 
 from server.delivery.fanout import EncodedFrame, FanOut
 from server.delivery.stream_clock import StreamClock
@@ -18,6 +20,13 @@ def video_track(rendition: str, codec: str) -> str:
     return f"{rendition}/{codec}"
 
 
+class Viewer(Protocol):
+    """Somebody who watches; other takers, recordings for instance, are none."""
+
+    def counts(self) -> Counter[str]:
+        """What it has been sent and has asked for, by the names of the metrics."""
+
+
 class Tracks:
     """Owner of a stream's fan-outs. `demand_changed` is called when a track gets its first taker or loses its last one,
     and when the number of viewers changes."""
@@ -26,7 +35,8 @@ class Tracks:
         self._request_keyframe = request_keyframe
         self._demand_changed = demand_changed
         self._fanouts: dict[str, FanOut] = {}
-        self.viewers = 0
+        self._viewers: set[Viewer] = set()
+        self._counted: Counter[str] = Counter()     # of viewers that have left
         self.clock = StreamClock()
         self.nominal_bps: dict[str, float] = {}     # of each track, as the worker sets its encoders
 
@@ -62,19 +72,36 @@ class Tracks:
         used = max((bps / most for bps, most in zip(measured, nominal, strict=True) if bps is not None and most), default=1.0)
         return [most * used if bps is None else bps for bps, most in zip(measured, nominal, strict=True)]
 
+    def load(self) -> list[tuple[str, int, float]]:
+        """Of each track that anybody has ever taken: its name, its takers, bits per second."""
+        now = time.monotonic()
+        return [(track, len(fanout), fanout.rate.bps(now) or 0.0) for track, fanout in self._fanouts.items()]
+
     def publish(self, track: str, frame: EncodedFrame) -> None:
         if track != AUDIO:
             self.clock.start(frame.timestamp, VIDEO_CLOCK_HZ, frame.decoded_at)
         if track in self._fanouts:      # nobody else can want it
             self._fanouts[track].publish(frame)
 
-    def viewer_joined(self) -> None:
-        self.viewers += 1
+    @property
+    def viewers(self) -> int:
+        return len(self._viewers)
+
+    def viewer_joined(self, viewer: Viewer) -> None:
+        self._viewers.add(viewer)
         self._demand_changed()
 
-    def viewer_left(self) -> None:
-        self.viewers -= 1
+    def viewer_left(self, viewer: Viewer) -> None:
+        self._viewers.remove(viewer)
+        self._counted.update(viewer.counts())
         self._demand_changed()
+
+    def counts(self) -> Counter[str]:
+        """What all viewers there ever were have been sent and have asked for."""
+        total = Counter(self._counted)
+        for viewer in self._viewers:
+            total.update(viewer.counts())       # `+` would leave out what is zero
+        return total
 
     def encoders_replaced(self) -> None:
         """The packets that follow come from other encoders: every taker goes on at a keyframe."""

@@ -12,6 +12,8 @@ import logging
 import secrets
 import time
 from collections.abc import Callable, Sequence
+from itertools import count
+from typing import Any
 
 from aiortc import (
     RTCConfiguration,
@@ -48,11 +50,15 @@ class UnknownRenditionError(ValueError):
     """The stream's ladder has no rendition of that name."""
 
 
+_numbers = count(1)
+
+
 class WhepSession:
     """One viewer's connection."""
 
     def __init__(self, stream: Stream, choice: Choice, closed: Callable[[WhepSession], None]) -> None:
         self.id = secrets.token_urlsafe(24)     # the session URL is what entitles to change or end the session
+        self.number = next(_numbers)            # for people: the id is a secret
         self.etag = _new_tag()
         self.stream = stream
         # An empty list, not None: None means Google's STUN server and a pause of 5 s where that cannot be reached.
@@ -71,6 +77,12 @@ class WhepSession:
     @property
     def closing(self) -> bool:
         return self._closing is not None
+
+    def describe(self) -> dict[str, Any]:
+        """The viewer as `GET /api/streams/{stream}/viewers` shows it."""
+        return {"viewer": self.number, "state": self._connection.connectionState,
+                "seconds": round(time.monotonic() - self._started_at, 1), "sound": len(self._feeds) > 1,
+                **(self.picture.describe() if self.picture is not None else {})}
 
     async def negotiate(self, offer: str) -> str:
         """Take the offer, return the answer with all our ICE candidates.
@@ -204,6 +216,10 @@ class WhepSessions:
     def __len__(self) -> int:
         return len(self._sessions)
 
+    def of(self, stream: Stream) -> list[WhepSession]:
+        """The stream's sessions, oldest first."""
+        return [session for session in self._sessions.values() if session.stream is stream and not session.closing]
+
     def find(self, stream: str, session_id: str) -> WhepSession | None:
         session = self._sessions.get(session_id)
         if session is None or session.closing or session.stream.name != stream:
@@ -233,7 +249,7 @@ class WhepSessions:
             raise
 
     async def close_stream(self, stream: Stream) -> None:
-        await self._close([session for session in self._sessions.values() if session.stream is stream])
+        await self._close(self.of(stream))
 
     async def close(self) -> None:
         await self._close(list(self._sessions.values()))
