@@ -15,7 +15,7 @@ from server.outputs.server_link import OutputFailedError, Pulse, ServerLink, fai
 from server.outputs.sound import CopiedOpus, EncodedAac
 from server.worker.messages import Message, ProtocolError
 
-DISK_ERRORS = (FileNotFoundError, NotADirectoryError, PermissionError)
+DISK_ERRORS = (FileNotFoundError, FileExistsError, NotADirectoryError, PermissionError)
 
 
 class _Sink(Protocol):
