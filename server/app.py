@@ -10,7 +10,7 @@ from fastapi import FastAPI
 from starlette.middleware.cors import CORSMiddleware
 
 from server.config import Settings
-from server.routes import assets, health, live, pages, problems, scenes, streams, whep
+from server.routes import assets, health, live, outputs, pages, playback, problems, scenes, streams, whep
 from server.service import Service
 
 DESCRIPTION = ("Live 360-degree video as backdrop and light source for virtual objects, streamed to WebXR. WebSockets: "
@@ -39,7 +39,7 @@ def create_app(settings: Settings) -> FastAPI:
             allow_methods=["GET", "HEAD", "POST", "PUT", "PATCH", "DELETE"],
             allow_headers=["Authorization", "Content-Type", "If-Match"],
             expose_headers=["Accept-Patch", "ETag", "Link", "Location", "Retry-After"])
-    for routes in (streams, scenes, live, assets, whep, health, pages):
+    for routes in (streams, scenes, live, outputs, playback, assets, whep, health, pages):
         app.include_router(routes.router)
     return app
 

@@ -8,6 +8,7 @@ from server.delivery.media_addresses import MediaAddresses, UdpPorts
 from server.delivery.whep import WhepSessions
 from server.metrics import Metrics
 from server.network_settings import IceServer
+from server.outputs.spec import OutputSpec
 from server.source_url import check_network_source, check_source_network
 from server.stream import Stream
 from server.streams import LIVE, Streams
@@ -43,6 +44,18 @@ class Service:
         if allowed is not None:
             await check_source_network(source, allowed)
         return source
+
+    async def check_rest_output(self, spec: OutputSpec) -> tuple[str, ...] | None:
+        """The networks outside the public internet that an output made over the API may connect to; None: any.
+
+        Raises SourceUrlError when its host lies elsewhere.
+        """
+        allowed = self.settings.allowed_source_networks
+        if allowed is None:
+            return None
+        if spec.url is not None:
+            await check_source_network(spec.url, allowed)
+        return tuple(str(network) for network in allowed)
 
 
 def _link(server: IceServer) -> str:

@@ -17,6 +17,7 @@ from server.event_outbox import Event, EventOutbox
 from server.live_scene import LiveScene
 from server.metrics import StreamMetrics
 from server.newest import Newest
+from server.outputs.stream_outputs import StreamOutputs
 from server.percentiles import Percentiles
 from server.renditions import CODECS, LADDER, Rendition
 from server.source_url import is_file_source, masked
@@ -42,6 +43,8 @@ class StreamSettings:
     require_gpu: bool
     bitrate_bps: int | None
     renditions: tuple[Rendition, ...] = LADDER
+    recordings_dir: str = "recordings"
+    max_outputs: int = 8
 
 
 class Stream:
@@ -69,6 +72,8 @@ class Stream:
         self._newest_timestamp = 0                  # in ticks of 1 / 90000 s since the stream began
         self._viewers_told = 0
         self._timestamp_at = 0.0
+        self.outputs = StreamOutputs(self, limit=settings.max_outputs, recordings_dir=settings.recordings_dir,
+                                     changed=lambda: self._publish(self._outputs_event()))
         self._supervisor = Supervisor(self)
 
     # --- what others see -------------------------------------------------------------------------------------------
@@ -86,6 +91,15 @@ class Stream:
     @property
     def restarts(self) -> int:
         return self._supervisor.restarts
+
+    @property
+    def renditions(self) -> tuple[Rendition, ...]:
+        return self._settings.renditions
+
+    def scene_of(self, revision: int) -> dict[str, Any] | None:
+        """The scene as JSON that a picture of that revision shows; None when it is long gone."""
+        scene = self.live_scene.at(revision)
+        return None if scene is None else scene.model_dump(mode="json")
 
     def description(self) -> dict[str, Any]:
         """The resource `/api/streams/{stream}`."""
@@ -106,6 +120,7 @@ class Stream:
             "dropped_after_encoder": self.tracks.dropped,
             "latency_ms": self.latency_ms.summary(),
             "worker_restarts": self.restarts,
+            "outputs": self.outputs.status(),
         }
 
     def delivered(self, seconds: float) -> None:
@@ -136,7 +151,7 @@ class Stream:
     def event_subscription(self) -> Iterator[EventOutbox]:
         """An outbox that begins with the whole present state."""
         outbox = EventOutbox(self._scene_event)
-        for event in (self._scene_event(), self._source_event(), self._viewers_event()):
+        for event in (self._scene_event(), self._source_event(), self._viewers_event(), self._outputs_event()):
             outbox.put(event)
         self._events.add(outbox)
         try:
@@ -290,6 +305,7 @@ class Stream:
         if (state, detail) != (self.state, self.detail):
             logger.info("%s: source %s%s", self.name, state, f", {detail}" if detail else "")
         self.state, self.detail = state, detail
+        self.outputs.source_changed(state, detail, self.input)
         self._publish(self._source_event())
 
     def _publish(self, event: Event) -> None:
@@ -302,6 +318,9 @@ class Stream:
     def _source_event(self) -> Event:
         return {"type": "source", "state": self.state, "detail": self.detail, "input": self.input,
                 "output": self.output, "flags": self.flags}
+
+    def _outputs_event(self) -> Event:
+        return {"type": "outputs", "outputs": self.outputs.status()}
 
     def _viewers_event(self) -> Event:
         return {"type": "viewers", "count": self.tracks.viewers}

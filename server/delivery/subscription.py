@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from server.delivery.adaptation import Adaptation, Estimate
-from server.delivery.fanout import EncodedFrame, Taker
+from server.delivery.fanout import EncodedFrame, FanOut, Taker
 from server.delivery.reception import Reception, Report
+from server.delivery.stream_clock import StreamClock
 from server.delivery.tracks import AUDIO, Tracks, video_track
 
 
@@ -145,15 +146,15 @@ class PictureFeed:
             self._tracks.viewer_left(self)
 
 
-class SoundFeed:
-    """The stream's sound, for as long as there is any."""
+class TrackFeed:
+    """One track, whatever the network does: the sound, or what goes to a media server."""
 
-    codec = "opus"
-
-    def __init__(self, tracks: Tracks) -> None:
-        self.clock = tracks.clock
+    def __init__(self, fanout: FanOut, codec: str, clock: StreamClock) -> None:
+        self.codec = codec
+        self.clock = clock
         self.reception = Reception()
-        self._fanout = tracks.fanout(AUDIO)
+        self.request_keyframe = fanout.request_keyframe
+        self._fanout = fanout
         self._taker: Taker | None = None
 
     async def next_frame(self) -> EncodedFrame:
@@ -161,9 +162,11 @@ class SoundFeed:
             self._taker = self._fanout.join()
         return await self._taker.next_frame()
 
-    def request_keyframe(self) -> None:
-        """Every packet of sound can be understood without the others."""
-
     def close(self) -> None:
         if self._taker is not None:
             self._fanout.leave(self._taker)
+
+
+def sound_feed(tracks: Tracks) -> TrackFeed:
+    """The stream's sound, for as long as there is any."""
+    return TrackFeed(tracks.fanout(AUDIO), "opus", tracks.clock)

@@ -29,7 +29,8 @@ def test_a_wake_ends_the_wait() -> None:
 
 def test_the_output_clock_keeps_the_sources_spacing_under_jitter() -> None:
     clock = OutputClock(1000)
-    ticks = [clock.ticks(clock.moment(index / 30, 50.0 + index / 30 + jitter)) for index, jitter in enumerate([0, 0.02, -0.01, 0.03])]
+    jitters = [0, 0.02, -0.01, 0.03]
+    ticks = [clock.ticks(clock.moment(index / 30, 50.0 + index / 30 + jitter)) for index, jitter in enumerate(jitters)]
     assert ticks == [1000 + index * 3000 for index in range(4)]
     assert clock.discontinuities == 0
 
