@@ -23,6 +23,11 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         self.exit(BAD_INPUT, f"{self.prog}: {message}\n")
 
+    def check_json(self, file: Path | None) -> None:
+        """End the process when the file of `--json` lies in no folder."""
+        if file is not None and not file.absolute().parent.is_dir():
+            self.error(f"argument --json: {str(file)!r} given, expected a file in a folder that exists")
+
 
 def bench_options(arguments: list[str] | None) -> argparse.Namespace:
     """Ends the process with status 2 for what cannot be used."""
@@ -43,8 +48,7 @@ def bench_options(arguments: list[str] | None) -> argparse.Namespace:
     for name, default in (quick if options.quick else whole).items():
         if getattr(options, name) is None:
             setattr(options, name, default)
-    if options.json is not None and not options.json.absolute().parent.is_dir():
-        parser.error(f"argument --json: {str(options.json)!r} given, expected a file in a folder that exists")
+    parser.check_json(options.json)
     return options
 
 
@@ -55,6 +59,14 @@ def sizes(text: str) -> tuple[str, ...]:
         if not (width + height).isdigit() or len(width) > 4 or int(width) % 4 or not 256 <= int(width) == 2 * int(height) <= 8192:
             raise argparse.ArgumentTypeError(f"{size!r} given, expected WIDTHxHEIGHT, twice as wide as high, 256x128 to 8192x4096")
     return tuple(dict.fromkeys(text.split(",")))
+
+
+def one_size(text: str) -> str:
+    """An argument: WIDTHxHEIGHT."""
+    found = sizes(text)
+    if len(found) != 1:
+        raise argparse.ArgumentTypeError(f"{text!r} given, expected one size")
+    return found[0]
 
 
 def _some_of(known: tuple[str, ...]) -> Callable[[str], tuple[str, ...]]:

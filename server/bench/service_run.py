@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -56,10 +56,10 @@ class Served:
 
 
 def start_service(children: Children, watch: Watch, folder: Path, show: Show, max_viewers: int,
-                  environment: Mapping[str, str] | None = None) -> Served:
+                  environment: Mapping[str, str] | None = None, camera: Callable[[str], Child] | None = None) -> Served:
     """Service, models, scene and camera, as a user would. Logs and assets lie in `folder`; `environment` has more settings.
 
-    Raises DemoError and ChildError.
+    `camera` starts one that publishes to the URL it is given, in place of the clip. Raises DemoError and ChildError.
     """
     port, camera_url = free_port(), f"rtmp://{HOST}:{free_port()}/live/camera"
     base, assets = f"http://{HOST}:{port}", tempfile.mkdtemp(prefix="assets-", dir=folder)
@@ -70,9 +70,13 @@ def start_service(children: Children, watch: Watch, folder: Path, show: Show, ma
     watch.until("ready service", lambda: is_ready(base), READY_WITHIN_S)
     found = {name: upload(base, name, model)["triangles"] for name, model in show.models.items()}
     request("PUT", f"{base}/api/streams/live/scene", show.scene)
-    publisher = children.start("camera", "server.cli", "publish", show.clip, camera_url, "--loop", log=folder / "camera.log")
+    publisher = camera(camera_url) if camera else _clip_camera(children, show.clip, camera_url, folder)
     watch.until("picture from the camera", lambda: stream(base)["state"] == "live", READY_WITHIN_S)
     return Served(base, service, publisher, found)
+
+
+def _clip_camera(children: Children, clip: Path, url: str, folder: Path) -> Child:
+    return children.start("camera", "server.cli", "publish", clip, url, "--loop", log=folder / "camera.log")
 
 
 def measure_service(folder: Path, stop: threading.Event, show: Show, period: Period, receivers: int | None = None) -> Report:
@@ -134,7 +138,7 @@ def measure_transcode(folder: Path, stop: threading.Event, clip: Path, period: P
                                    piped=True, log=folder / "transcode.log")
         seen = NewestLine(transcode)
         watch.until("transcode", lambda: bool(seen.value), READY_WITHIN_S)
-        publisher = children.start("camera", "server.cli", "publish", clip, camera_url, "--loop", log=folder / "camera.log")
+        publisher = _clip_camera(children, clip, camera_url, folder)
         watch.until("transcoded frame", lambda: seen.value["frames_encoded"] > 0, READY_WITHIN_S)
         watch.pause(period.warm_up_s)
         threads, others, first = ThreadClock(transcode.pid), OtherWork([transcode.pid, publisher.pid]), seen.value

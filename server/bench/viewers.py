@@ -1,6 +1,6 @@
 """`make bench-viewers`: what a further viewer costs, and what each one gets.
 
-A camera sends the synthetic clip over RTMP to the real service, which composites the demo's scene and sends to so many real
+A camera sends a noisy clip over RTMP to the real service, which composites the demo's scene and sends to so many real
 WebRTC peers on this machine, in one process that counts and decodes nothing. Processor time is counted by process: camera and
 receivers are not ours, though they share the processors with the service. Then viewers come and go while the others watch.
 """
@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from server.bench.machine import machine_figures
-from server.bench.service_options import BAD_INPUT, Parser, counts, seconds, sizes
+from server.bench.service_options import BAD_INPUT, Parser, counts, one_size, seconds
 from server.bench.service_processes import ProcessGoneError
 from server.bench.service_run import READY_WITHIN_S, Report, Served, Show, measure_watched, start_service
 from server.bench.viewers_process import GUESTS, SUMMED
@@ -49,7 +49,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = _options(arguments)
     stop = threading.Event()
     try:
-        clip = demo_clip(int(options.size.partition("x")[0]), options.fps)
+        clip = demo_clip(int(options.size.partition("x")[0]), options.fps, noisy=True)
         with tempfile.TemporaryDirectory(prefix="mr360-viewers-") as folder, signals_set(stop):
             _run(options, clip, Path(folder), stop)
     except (StopError, KeyboardInterrupt):
@@ -74,7 +74,7 @@ def _run(options: argparse.Namespace, clip: Path, folder: Path, stop: threading.
                                {"MR360_BITRATE_BPS": str(options.bitrate)})
         for count in options.counts:
             with _audience(children, watch, served, folder, count, options.fps) as (child, seen):
-                row = _measured(watch, served, child, seen, options.seconds)
+                row = _measured(watch, served, child, seen, options)
                 report["rows"].append(row)
                 _print([row_line(row)])
                 if count == _churn_count(options.counts):
@@ -103,17 +103,17 @@ def _audience(children: Children, watch: Watch, served: Served, folder: Path, co
     children.stop(child)
 
 
-def _measured(watch: Watch, served: Served, child: Child, seen: NewestLine, period_s: float) -> Report:
+def _measured(watch: Watch, served: Served, child: Child, seen: NewestLine, options: argparse.Namespace) -> Report:
     watch.pause(WARM_UP_S)
-    capture_ms = _capture_ms(served, seen.value["epoch"])
+    clocks = capture_clocks(served.base)
     before = seen.value
-    service = measure_watched(watch, served, child, seen, period_s)
+    service = measure_watched(watch, served, child, seen, options.seconds)
     after = seen.value
+    capture_ms = 1e3 * (statistics.median([*clocks, *capture_clocks(served.base)]) - after["epoch"])
     span, viewers = after["time"] - before["time"], len(after["by_viewer"])
     by_viewer = [(now - then) / span for now, then in zip(after["by_viewer"], before["by_viewer"], strict=True)]
-    fps = service["fps"]
     return {
-        "viewers": viewers, "seconds": round(span, 2), "fps_sent": fps, "fps_min": round(min(by_viewer), 2),
+        "viewers": viewers, "seconds": round(span, 2), "fps_sent": service["fps"], "fps_min": round(min(by_viewer), 2),
         "fps_mean": round(statistics.fmean(by_viewer), 2),
         "mbps_each": round((after["bytes"] - before["bytes"]) * 8e-6 / span / viewers, 2),
         "frames_dropped": service["frames_dropped"], "dropped_after_encoder": service["dropped_after_encoder"],
@@ -122,14 +122,16 @@ def _measured(watch: Watch, served: Served, child: Child, seen: NewestLine, peri
         "sender_reports_ms": _shifted(percentiles(after["sender_reports_ms"]), -capture_ms),
         "server_latency_ms": service["latency_ms"], "render_ms": service["render_ms"],
         "cpu_ms_per_frame": service["cpu_ms_per_frame"],
-        "cores": {name: round(cost * fps / 1e3, 4) for name, cost in service["cpu_ms_per_frame"].items()},
+        # at the camera's rate: on a machine that others use too, fewer frames are sent
+        "cores": {name: round(cost * options.fps / 1e3, 4) for name, cost in service["cpu_ms_per_frame"].items()},
         "peak_mb": service["peak_mb"], "other_cores": service["other_cores"]}
 
 
-def _capture_ms(served: Served, epoch: float) -> float:
-    """What a frame's capture is behind its RTP time, where 0 is `epoch`: light messages have both, whatever RTCP says."""
-    messages = [request("GET", f"{served.base}/api/streams/live/lights") for _ in range(CLOCK_READINGS)]
-    return statistics.median(1e3 * (float(one["captured_at"]) - epoch - one["rtp_timestamp"] / 90_000) for one in messages)
+def capture_clocks(base: str) -> list[float]:
+    """The time (of the system's clock, seconds) of the capture that has RTP time 0, several times measured: light messages have
+    both times of a frame, whatever RTCP says."""
+    messages = [request("GET", f"{base}/api/streams/live/lights") for _ in range(CLOCK_READINGS)]
+    return [float(one["captured_at"]) - one["rtp_timestamp"] / 90_000 for one in messages]
 
 
 def _churn(watch: Watch, served: Served, child: Child, seen: NewestLine) -> Report:
@@ -187,7 +189,7 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--quick", action="store_true", help="a quarter of a minute: few viewers, a small picture")
     parser.add_argument("--counts", type=counts, help=f"of viewers, default {','.join(map(str, COUNTS))}")
     parser.add_argument("--seconds", type=seconds, help="measured with each count, default 20")
-    parser.add_argument("--size", type=_one_size, help="of the camera's picture, default 2048x1024")
+    parser.add_argument("--size", type=one_size, help="of the camera's picture, default 2048x1024")
     parser.add_argument("--fps", type=int, help="of the camera, default 30")
     parser.add_argument("--bitrate", type=int, default=10_000_000, help="of the full rendition in bit/s, default 10000000")
     parser.add_argument("--json", type=Path, metavar="FILE", help="where to write the figures")
@@ -197,16 +199,8 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     for name, default in (quick if options.quick else whole).items():
         if getattr(options, name) is None:
             setattr(options, name, default)
-    if options.json is not None and not options.json.absolute().parent.is_dir():
-        parser.error(f"argument --json: {str(options.json)!r} given, expected a file in a folder that exists")
+    parser.check_json(options.json)
     return options
-
-
-def _one_size(text: str) -> str:
-    found = sizes(text)
-    if len(found) != 1:
-        raise argparse.ArgumentTypeError(f"{text!r} given, expected one size")
-    return found[0]
 
 
 if __name__ == "__main__":

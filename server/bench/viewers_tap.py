@@ -46,7 +46,7 @@ class Tap:
             _enlarge_buffer(protocol.transport)
             vars(protocol)["datagram_received"] = self._filtered(protocol.datagram_received)
         self._aiortc_takes_rtcp = self._receiver._handle_rtcp_packet
-        self._receiver._handle_rtcp_packet = self._rtcp
+        vars(self._receiver)["_handle_rtcp_packet"] = self._rtcp
         self._timer = asyncio.get_running_loop().call_later(REPEAT_EVERY_S, self._look)
 
     def close(self) -> None:
