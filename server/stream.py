@@ -62,7 +62,8 @@ class Stream:
         self.worker_stats: dict[str, Any] = {}
         self.latency_ms = Percentiles()
         self.live_scene = LiveScene(self._scene_changed)
-        self.tracks = Tracks(request_keyframe=self._request_keyframe, demand_changed=self._demand_changed)
+        self.tracks = Tracks(request_keyframe=self._request_keyframe, demand_changed=self._demand_changed,
+                             set_bitrate=self._set_bitrate)
         self._settings = settings
         self._metrics = metrics
         self._light_subscribers: set[Newest[str]] = set()
@@ -202,6 +203,8 @@ class Stream:
 
     def worker_started(self) -> None:
         self._send_demand()
+        for track, bps in self.tracks.squeezed().items():
+            self._set_bitrate(track, bps)
         self.tracks.encoders_replaced()
 
     def worker_ready(self) -> None:
@@ -279,6 +282,9 @@ class Stream:
 
     def _request_keyframe(self, track: str) -> None:
         self._supervisor.send({"type": "keyframe", "track": track}, slot=f"keyframe {track}")
+
+    def _set_bitrate(self, track: str, bps: int | None) -> None:
+        self._supervisor.send({"type": "bitrate", "track": track, "bps": bps}, slot=f"bitrate {track}")
 
     # --- changes ---------------------------------------------------------------------------------------------------
 

@@ -115,6 +115,7 @@ class PictureFeed:
             self.request_keyframe()     # whatever the viewer has is broken
         rates = self._tracks.rates([self._track(number) for number in range(len(self._names))])
         after = self.adaptation.take(report, estimate, rates)
+        self._adapt_lowest(report)
         if after == before or self._taker is None:
             return
         if self._next is not None:
@@ -122,6 +123,16 @@ class PictureFeed:
             self._next = None
         if after != self._rendition:
             self._next = self._join(after)
+
+    def _adapt_lowest(self, report: Report) -> None:
+        lowest = len(self._names) - 1
+        if self._rendition != lowest:
+            return
+        squeeze, nominal = self._tracks.squeeze(self._track(lowest)), self._tracks.nominal_bps.get(self._track(lowest), 0.0)
+        if self.adaptation.starved_bps is not None:
+            squeeze.trouble(report.at, self.adaptation.starved_bps, nominal)
+        else:
+            squeeze.quiet(report.at, nominal)
 
     def _join(self, rendition: int) -> Taker:
         return self._tracks.fanout(self._track(rendition)).join(self._filled)
