@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,9 @@ class RealWorker:
         self.send({"type": "demand", "tracks": tracks, "lights": 0})
 
     def messages(self) -> Iterator[tuple[dict[str, Any], bytes]]:
-        while True:
+        """As they come, for at most LIMIT_S."""
+        deadline = time.monotonic() + LIMIT_S
+        while time.monotonic() < deadline:
             yield receive_message(self._socket)
 
     def pictures(self) -> Iterator[tuple[int, np.ndarray[Any, np.dtype[np.uint8]]]]:
