@@ -10,7 +10,7 @@ from fastapi import Depends, FastAPI
 from starlette.middleware.cors import CORSMiddleware
 
 from server.config import Settings
-from server.routes import assets, health, live, pages, problems, scenes, streams, whep
+from server.routes import assets, health, live, outputs, pages, playback, problems, scenes, streams, whep
 from server.routes.access import check_access
 from server.service import Service
 
@@ -40,7 +40,8 @@ def create_app(settings: Settings) -> FastAPI:
             allow_methods=["GET", "HEAD", "OPTIONS", "POST", "PUT", "PATCH", "DELETE"],
             allow_headers=["Authorization", "Content-Type", "If-Match"],
             expose_headers=["Accept-Patch", "Accept-Post", "ETag", "Link", "Location", "Retry-After", "WWW-Authenticate"])
-    guarded, others = (streams, scenes, live, assets), (whep, health, pages)    # the others say for themselves what needs a token
+    # the others say for themselves what needs a token
+    guarded, others = (streams, scenes, live, assets, outputs, playback), (whep, health, pages)
     for routes in guarded:
         app.include_router(routes.router, dependencies=[Depends(check_access)])
     for routes in others:

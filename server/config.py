@@ -6,15 +6,17 @@ import ipaddress
 import json
 import os
 import tomllib
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
 from pydantic_core import ErrorDetails
 
 from server.auth import Token
 from server.network_settings import OWN, EdgeUrl, IceServer, PortRange, Turn, comma_separated, resolved
+from server.outputs.spec import ConfiguredOutput, ConfiguredPlayback
 from server.source_url import IpNetwork, SourceUrlError, check_command_line_source
 
 ENVIRONMENT_PREFIX = "MR360_"
@@ -22,17 +24,19 @@ JSON_SETTINGS = {
     "ice_servers": "a JSON list of objects with url, username, credential",
     "turn": "a JSON object with urls, secret, ttl_s",
     "tokens": "a JSON list of objects with token, may, streams",
+    "outputs": "a JSON list of objects",
+    "playback": "a JSON list of objects with protocol, url",
 }
-SECRET_SETTINGS = ("turn", "tokens")    # never shown, not even when they are wrong
+SECRET_SETTINGS = ("turn", "tokens", "outputs", "playback")     # their values are never shown, not even when they are wrong
 
 
 class ConfigError(ValueError):
     """A setting is unknown or has a value that cannot be used."""
 
 
-def _default_assets_dir() -> Path:
+def _data_folder(name: str) -> Path:
     data_home = os.environ.get("XDG_DATA_HOME")
-    return (Path(data_home) if data_home else Path.home() / ".local" / "share") / "mr360" / "assets"
+    return (Path(data_home) if data_home else Path.home() / ".local" / "share") / "mr360" / name
 
 
 class Settings(BaseModel):
@@ -43,7 +47,7 @@ class Settings(BaseModel):
     host: Annotated[str, Field(min_length=1, max_length=253)] = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535)] = 8360          # 0: any free port
     source: str | None = None                                   # of the stream `live`
-    assets_dir: Path = Field(default_factory=_default_assets_dir)
+    assets_dir: Path = Field(default_factory=lambda: _data_folder("assets"))
     max_viewers: Annotated[int, Field(ge=1, le=1000)] = 20      # of all streams together
     max_streams: Annotated[int, Field(ge=1, le=64)] = 4
     require_gpu: bool = False
@@ -66,13 +70,17 @@ class Settings(BaseModel):
     IP addresses, host names, which are looked up at the start, and `own` for the machine's own beside them."""
     ice_networks: Annotated[tuple[IpNetwork, ...], BeforeValidator(comma_separated)] | None = None
     """Use only the machine's addresses in these networks for media. None: all of them."""
+    outputs: tuple[ConfiguredOutput, ...] = ()                  # more can be made over REST
+    max_outputs: Annotated[int, Field(ge=0, le=64)] = 8         # of one stream
+    recordings_dir: Path = Field(default_factory=lambda: _data_folder("recordings"))
+    playback: tuple[ConfiguredPlayback, ...] = ()               # ways to watch that hold whatever this service does
 
     @field_validator("source")
     @classmethod
     def _usable_source(cls, value: str | None) -> str | None:
         return check_command_line_source(value) if value else None
 
-    @field_validator("assets_dir")
+    @field_validator("assets_dir", "recordings_dir")
     @classmethod
     def _absolute(cls, value: Path) -> Path:
         return value.expanduser().absolute()
@@ -85,6 +93,17 @@ class Settings(BaseModel):
             if origin != "*" and (scheme not in ("http", "https") or not rest or "/" in rest):
                 raise ValueError(f"origin is {origin!r}, expected https://HOST, https://HOST:PORT or *")
         return value
+
+    @model_validator(mode="after")
+    def _outputs_fit(self) -> Settings:
+        ids = Counter((output.stream, output.id) for output in self.outputs)
+        for (stream, output_id), count in ids.items():
+            if count > 1:
+                raise ValueError(f"outputs has {count} with the id {output_id!r} for stream {stream!r}, expected one")
+        for stream, count in Counter(output.stream for output in self.outputs).items():
+            if count > self.max_outputs:
+                raise ValueError(f"outputs has {count} for stream {stream!r}, expected at most max_outputs, {self.max_outputs}")
+        return self
 
     @property
     def loopback_only(self) -> bool:
@@ -164,7 +183,7 @@ def _from_file(path: Path) -> dict[str, Any]:
 
 
 def _first_error(error: ErrorDetails, places: Mapping[str, Mapping[str, Any]]) -> str:
-    name = str(error["loc"][0])
+    name = str(error["loc"][0]) if error["loc"] else "outputs"      # a rule about several settings: all of these are
     place = next((place for place, values in places.items() if name in values), "default")
     if error["type"] == "extra_forbidden":
         return f"setting {name!r} ({place}) is unknown, expected one of {', '.join(Settings.model_fields)}"
@@ -172,6 +191,6 @@ def _first_error(error: ErrorDetails, places: Mapping[str, Mapping[str, Any]]) -
     if isinstance(cause, SourceUrlError):
         return f"{cause} ({place})"
     expected = str(cause) if cause else error["msg"].lower().replace("input should be", "expected")
-    setting = ".".join(str(part) for part in error["loc"] if "[" not in str(part))     # no types of pydantic's own
+    setting = ".".join(str(part) for part in error["loc"] if "[" not in str(part)) or name     # no types of pydantic's own
     given = "" if name in SECRET_SETTINGS else f" is {error['input']!r}"
     return f"{setting}{given} ({place}), {expected}"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 
 if TYPE_CHECKING:
+    from server.outputs.output import Output
     from server.stream import Stream
 
 RENDER_BUCKETS_S = (0.002, 0.004, 0.006, 0.008, 0.012, 0.016, 0.02, 0.033, 0.05, 0.1, 0.25)
@@ -60,11 +61,19 @@ class Metrics:
             ("takers", "Viewers and outputs of an encoded track"),
             ("bitrate_bps", "Bits per second that its encoder gives"),
         )}
+        labels = ["stream", "output"]
+        self._output_up = Gauge("mr360_output_up", "1 when the output is live", labels, registry=self.registry)
+        self._output_counters = {
+            "bytes": Counter("mr360_output_bytes", "Bytes of packets that went out", labels, registry=self.registry),
+            "restarts": Counter("mr360_output_restarts", "Times the output was tried again", labels, registry=self.registry)}
+        self._outputs_counted: dict[tuple[str, str], dict[str, int]] = {}
         self.decisions = Counter("mr360_quality_decisions", "Accuracy given up or taken back", ["stream"],
                                  registry=self.registry)
 
     def exposition(self, streams: Iterable[Stream]) -> bytes:
         """The text that Prometheus scrapes."""
+        streams = list(streams)
+        self._set_outputs({(stream.name, output.spec.id): output for stream in streams for output in stream.outputs})
         for stream in streams:
             self._delivery_of(stream)
             values = {"viewers": stream.tracks.viewers, "worker_ready": int(stream.ready),
@@ -85,6 +94,20 @@ class Metrics:
         for track, takers, bps in stream.tracks.load():
             self._tracks["takers"].labels(stream.name, track).set(takers)
             self._tracks["bitrate_bps"].labels(stream.name, track).set(bps)
+
+    def _set_outputs(self, outputs: dict[tuple[str, str], Output]) -> None:
+        for key in self._outputs_counted.keys() - outputs.keys():
+            del self._outputs_counted[key]
+            for metric in (self._output_up, *self._output_counters.values()):
+                metric.remove(*key)
+        for key, output in outputs.items():
+            self._output_up.labels(*key).set(int(output.live))
+            counted = self._outputs_counted.get(key, {"bytes": 0, "restarts": 0})
+            counts = {"bytes": output.bytes_out, "restarts": output.restarts}
+            for name, counter in self._output_counters.items():
+                # Below what has been counted: another output of that id took its place between two scrapes.
+                counter.labels(*key).inc(counts[name] - counted[name] if counts[name] >= counted[name] else counts[name])
+            self._outputs_counted[key] = counts
 
     def forget(self, stream: str) -> None:
         """Remove the series of a stream that is deleted."""

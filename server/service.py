@@ -11,6 +11,8 @@ from server.config import Settings
 from server.delivery.media_addresses import MediaAddresses, UdpPorts
 from server.delivery.whep import WhepSessions
 from server.metrics import Metrics
+from server.outputs.playback import whep_edge
+from server.outputs.spec import OutputSpec
 from server.rate_limit import RateLimit
 from server.source_url import check_network_source, check_source_network
 from server.stream import Stream
@@ -57,8 +59,10 @@ class Service:
         return links
 
     def edge(self, stream: Stream) -> str | None:
-        """A WHEP endpoint elsewhere with the same stream."""
-        return next(self._edges).replace("{stream}", stream.name) if self.settings.edges else None
+        """A WHEP endpoint elsewhere with the same stream: of a live output's, else of the settings `edges` and `playback`."""
+        if self.settings.edges and not any(entry.protocol == "whep" for _, entry, _ in stream.outputs.playback()):
+            return next(self._edges).replace("{stream}", stream.name)
+        return whep_edge(stream, self.settings.playback)
 
     async def check_rest_source(self, source: str) -> str:
         """The source as a client of the API may name it. Raises SourceUrlError."""
@@ -67,6 +71,18 @@ class Service:
         if allowed is not None:
             await check_source_network(source, allowed)
         return source
+
+    async def check_rest_output(self, spec: OutputSpec) -> tuple[str, ...] | None:
+        """The networks outside the public internet that an output made over the API may connect to; None: any.
+
+        Raises SourceUrlError when its host lies elsewhere.
+        """
+        allowed = self.settings.allowed_source_networks
+        if allowed is None:
+            return None
+        if spec.url is not None:
+            await check_source_network(spec.url, allowed)
+        return tuple(str(network) for network in allowed)
 
 
 def _link(url: str, username: str, credential: str) -> str:

@@ -16,6 +16,12 @@ export function whepUrl(stream, pageQuery = globalThis.location?.search ?? '') {
   return url.href;
 }
 
+/** Every way to watch the stream. */
+export async function playback(stream) {
+  const response = await fetch(new URL(`api/streams/${encodeURIComponent(stream)}/playback`, ROOT), { headers: authorized() });
+  return response.ok ? response.json() : [];
+}
+
 export function eventsUrl(stream) {
   const url = new URL(`api/streams/${encodeURIComponent(stream)}/events`, ROOT);
   url.protocol = url.protocol === 'https:' ? 'wss:' : 'ws:';

@@ -4,7 +4,7 @@ import { perspective, worldFromScreen } from './camera.js';
 import { StreamEvents } from './events.js';
 import { Look } from './look.js';
 import { Panorama } from './panorama.js';
-import { eventsUrl, whepUrl } from './service.js';
+import { eventsUrl, playback, whepUrl } from './service.js';
 import { Statistics } from './statistics.js';
 import { describe } from './status.js';
 import { VideoFrames, isFed } from './video_frames.js';
@@ -25,7 +25,7 @@ class Viewer {
     this.panorama = new Panorama(gl);
     this.frames = new VideoFrames(this.video);
     this.look = new Look(this.canvas);
-    this.whep = new WhepClient(whepUrl(this.stream));
+    this.whep = new WhepClient(whepUrl(this.stream), () => playback(this.stream));
     this.events = new StreamEvents(eventsUrl(this.stream));
     this.immersive = new ImmersiveView(this.panorama, this.video, this.frames);
     this.statistics = null;

@@ -1,5 +1,6 @@
 // WHEP client (draft-ietf-wish-whep): one recvonly session that is made again for as long as it is wanted.
 
+import { withinReach } from './decoding.js';
 import { restartFragment, restartedAnswer } from './ice_restart.js';
 import { bytesReceived, describeLocally, receivingPeer, somethingReceived } from './peer.js';
 import { authorized, backoffMs, problemText } from './service.js';
@@ -41,6 +42,7 @@ export class WhepClient extends EventTarget {
   peer = null;
 
   #url;
+  #playback;
   #sessionUrl = null;
   #attempt = 0;
   #timer = null;
@@ -49,10 +51,14 @@ export class WhepClient extends EventTarget {
   #stream = null;
   #restarting = false;
 
-  /** @param {string} url POST /whep/{stream} */
-  constructor(url) {
+  /**
+   * @param {string} url POST /whep/{stream}
+   * @param {() => Promise<object[]>} playback every way to watch it, from which a rendition that this device decodes is chosen
+   */
+  constructor(url, playback = async () => []) {
     super();
     this.#url = url;
+    this.#playback = playback;
     globalThis.addEventListener?.('online', () => this.#restartIce());     // most likely over another network
   }
 
@@ -85,11 +91,12 @@ export class WhepClient extends EventTarget {
     const { signal } = this.#abort;
     this.#enter('connecting');
     try {
+      const asking = withinReach(this.#url, this.#playback);
       const servers = await this.#iceServers(signal) ?? [];
       const peer = this.#createPeer(servers, signal);
       const offer = await describeLocally(peer, await peer.createOffer(), GATHERING_MS);
       signal.throwIfAborted();
-      const answer = await this.#post(offer, signal);
+      const answer = await this.#post(await asking, offer, signal);
       await peer.setRemoteDescription({ type: 'answer', sdp: answer });
       if (peer.getTransceivers()[0].currentDirection !== 'recvonly') {
         throw new SessionError('no-codec', 'the server and this browser share no video codec');
@@ -194,10 +201,10 @@ export class WhepClient extends EventTarget {
     }
   }
 
-  async #post(sdp, signal) {
+  async #post(url, sdp, signal) {
     let response;
     try {
-      response = await fetch(this.#url, {
+      response = await fetch(url, {
         method: 'POST', headers: authorized({ 'Content-Type': 'application/sdp', Accept: 'application/sdp' }), body: sdp,
         signal: anySignal(signal, ANSWER_MS),
       });

@@ -19,19 +19,18 @@ from aiortc import (
     RTCConfiguration,
     RTCIceCandidate,
     RTCPeerConnection,
-    RTCRtpCodecCapability,
-    RTCRtpSender,
     RTCRtpTransceiver,
     RTCSessionDescription,
 )
 from aiortc.exceptions import InvalidAccessError, InvalidStateError, OperationError
 
 from server.delivery import aiortc_hooks, ice
+from server.delivery.codecs import opus, with_retransmission
 from server.delivery.feed import FeedTrack
 from server.delivery.ice_fragment import Fragment, fragment_text
 from server.delivery.media_addresses import MediaAddresses
 from server.delivery.sdp_offer import CodecError, OfferError, parse_offer
-from server.delivery.subscription import Choice, PictureFeed, SoundFeed
+from server.delivery.subscription import Choice, PictureFeed, TrackFeed, sound_feed
 from server.stream import Stream
 
 logger = logging.getLogger(__name__)
@@ -64,7 +63,7 @@ class WhepSession:
         # An empty list, not None: None means Google's STUN server and a pause of 5 s where that cannot be reached.
         self._connection = RTCPeerConnection(RTCConfiguration(iceServers=[]))
         self._choice = choice
-        self._feeds: list[PictureFeed | SoundFeed] = []
+        self._feeds: list[PictureFeed | TrackFeed] = []
         self.picture: PictureFeed | None = None     # from `negotiate` on
         self._closed = closed
         self._closing: asyncio.Task[None] | None = None
@@ -95,9 +94,9 @@ class WhepSession:
         self.picture = PictureFeed(stream.tracks, stream.rendition_names, parsed.codec, self._choice, stream.delivered)
         video = self._send("video", self.picture)
         # Before the offer is set: aiortc chooses codecs there, else the offerer's first one, which is VP8 in browsers.
-        video.setCodecPreferences(_with_retransmission(parsed.codec))
+        video.setCodecPreferences(with_retransmission(parsed.codec))
         if parsed.sound:
-            self._send("audio", SoundFeed(self.stream.tracks)).setCodecPreferences(_opus())
+            self._send("audio", sound_feed(self.stream.tracks)).setCodecPreferences(opus())
         self._connection.on("connectionstatechange", self._state_changed)
         try:
             async with asyncio.timeout(NEGOTIATE_LIMIT_S):
@@ -113,7 +112,7 @@ class WhepSession:
         self._add_late(parsed.late)
         return parsed.complete(self._connection.localDescription.sdp)
 
-    def _send(self, kind: str, feed: PictureFeed | SoundFeed) -> RTCRtpTransceiver:
+    def _send(self, kind: str, feed: PictureFeed | TrackFeed) -> RTCRtpTransceiver:
         self._feeds.append(feed)
         return self._connection.addTransceiver(FeedTrack(kind, feed), direction="sendonly")
 
@@ -272,15 +271,3 @@ def _choice(names: Sequence[str], rendition: str | None, at_most: str | None) ->
     if rendition is not None:
         return Choice(names.index(rendition), names.index(rendition))
     return Choice(names.index(at_most) if at_most is not None else 0, len(names) - 1)
-
-
-def _with_retransmission(codec: str) -> list[RTCRtpCodecCapability]:
-    """The codec's variants, H.264 constrained baseline first (what we encode), then RTX."""
-    known = RTCRtpSender.getCapabilities("video").codecs
-    chosen = [item for item in known if item.mimeType.lower() == f"video/{codec}"]
-    chosen.sort(key=lambda item: item.parameters.get("profile-level-id") != "42e01f")
-    return chosen + [item for item in known if item.mimeType == "video/rtx"]
-
-
-def _opus() -> list[RTCRtpCodecCapability]:
-    return [item for item in RTCRtpSender.getCapabilities("audio").codecs if item.mimeType == "audio/opus"]

@@ -53,7 +53,7 @@ def check_origin(websocket: WebSocket, service: ServiceDep) -> None:
 @router.get("/lights")
 async def get_lights(stream: StreamDep) -> dict[str, Any]:
     """The newest detection."""
-    lights = await stream.newest_lights()
+    lights = await stream.lights.of_a_frame_now()
     if lights is None:
         raise Problem(HTTPStatus.SERVICE_UNAVAILABLE, f"no frame has been processed yet, the stream is {stream.state}",
                       headers={"Retry-After": "1"})
@@ -64,7 +64,7 @@ async def get_lights(stream: StreamDep) -> dict[str, Any]:
 async def watch_lights(websocket: WebSocket, stream: StreamDep, access: AccessDep) -> None:
     """One light message per processed frame; a slow client gets the newest."""
     await websocket.accept(access.subprotocol)
-    with stream.light_subscription() as mailbox:
+    with stream.lights.subscription() as mailbox:
 
         async def send() -> None:
             while True:

@@ -14,8 +14,8 @@ from server.routes.dependencies import ServiceDep, StreamDep
 from server.routes.problems import Problem, shown
 from server.routes.strict_json import StrictJsonRoute
 from server.service import Service
+from server.snapshots import SnapshotError
 from server.source_url import SourceUrlError
-from server.stream import SnapshotError
 from server.streams import LIVE, DuplicateStreamError, TooManyStreamsError
 
 router = APIRouter(prefix="/api/streams", tags=["streams"], route_class=StrictJsonRoute)

@@ -239,6 +239,22 @@ def test_a_browser_without_h264_plays_vp8(open_page: Callable[..., Page], known_
     assert codecs == "video/VP8"
 
 
+def test_a_weak_device_gets_a_rendition_that_it_decodes(open_page: Callable[..., Page], known_service: Service) -> None:
+    """A browser that says of pictures wider than 600 pixels that they would stutter."""
+    script = """
+      const ask = navigator.mediaCapabilities.decodingInfo.bind(navigator.mediaCapabilities);
+      navigator.mediaCapabilities.decodingInfo = async (wanted) => (
+        { ...await ask(wanted), supported: true, smooth: wanted.video.width <= 600 });
+    """
+    first = open_page(view(known_service))      # without a viewer there is no picture, and no sizes are known
+    wait_playing(first)
+    full = known_service.stream()["output"]["width"]
+    page = open_page(view(known_service), script=script)
+    wait_playing(page)
+    assert page.evaluate("mr360.viewer.panorama.size[0]") == full // 2
+    assert {viewer["rendition"] for viewer in known_service.request("GET", "/api/streams/live/viewers")} == {"full", "low"}
+
+
 def test_a_browser_without_any_codec_of_ours_is_told(open_page: Callable[..., Page], known_service: Service) -> None:
     page = open_page(view(known_service), script=ONLY % "AV1")
     wait_title(page, "No video in this browser")

@@ -16,12 +16,12 @@ from aiortc import RTCConfiguration, RTCPeerConnection, RTCRtpReceiver, RTCRtpSe
 from aiortc.rtp import RTCP_PSFB_FIR, RtcpPsfbPacket, RtpPacket
 
 from server.delivery import aiortc_hooks
+from server.delivery.codecs import with_retransmission
 from server.delivery.fanout import EncodedFrame
 from server.delivery.feed import FeedTrack
 from server.delivery.sender import PacketSender
 from server.delivery.subscription import Choice, PictureFeed
 from server.delivery.tracks import Tracks
-from server.delivery.whep import _with_retransmission
 from server.demo.keyframe_decoder import KeyframeDecoder, is_keyframe
 
 FIRST_TIMESTAMP = 4294960000        # wraps after a few frames
@@ -84,7 +84,7 @@ async def pair() -> AsyncIterator[Pair]:
         await theirs.setLocalDescription(await theirs.createOffer())
         feed = PictureFeed(tracks, ["full", "low"], "h264", Choice(0, 1), lambda seconds: None)
         sending = ours.addTransceiver(FeedTrack("video", feed), direction="sendonly")
-        sending.setCodecPreferences(_with_retransmission("h264"))
+        sending.setCodecPreferences(with_retransmission("h264"))
         await ours.setRemoteDescription(theirs.localDescription)
         await ours.setLocalDescription()
         connected = Pair(tracks, sending.sender, feed, receiving.receiver, requests)
