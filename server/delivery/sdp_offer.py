@@ -63,10 +63,7 @@ def parse_offer(text: str) -> Offer:
     Raises:
         OfferError, CodecError: names what is missing.
     """
-    try:
-        offer = SessionDescription.parse(text)
-    except Exception as error:  # aiortc's parser raises whatever its slicing and int() come upon
-        raise OfferError(f"the body is no SDP offer: {error or type(error).__name__}") from None
+    offer = _description(text)
     session, sections = _split(text)
     if len(sections) > MAX_MEDIA_SECTIONS:
         raise OfferError(f"the offer has {len(sections)} media sections, expected at most {MAX_MEDIA_SECTIONS}")
@@ -80,7 +77,7 @@ def parse_offer(text: str) -> Offer:
     sound = _sound(offer.media, sections, bundle, offer.media[video].rtp.muxId)
     served = tuple(sorted({video} if sound is None else {video, sound}))
     cut = _cut(session, sections, offer.media, served, bundle)
-    head = _head(SessionDescription.parse(cut).media, bundle)
+    head = _head(_description(cut).media, bundle)
     if head.ice is None or not head.ice.usernameFragment or not head.ice.password:
         raise OfferError("the offer has no a=ice-ufrag and a=ice-pwd for its video")
     if not head.dtls or not head.dtls.fingerprints:
@@ -88,6 +85,13 @@ def parse_offer(text: str) -> Offer:
     now, late = _without_mdns(cut)
     return Offer(now, codec, sound is not None, late, (head.kind, head.rtp.muxId), head.ice.usernameFragment,
                  tuple(tuple(section) for section in sections), served)
+
+
+def _description(text: str) -> SessionDescription:
+    try:
+        return SessionDescription.parse(text)
+    except Exception as error:  # aiortc's parser raises whatever its slicing and int() come upon
+        raise OfferError(f"the body is no SDP offer: {error or type(error).__name__}") from None
 
 
 def _head(media: Sequence[MediaDescription], bundle: list[str]) -> MediaDescription:
@@ -143,7 +147,7 @@ def _cut(session: list[str], sections: list[list[str]], media: Sequence[MediaDes
 
 def _without_mdns(text: str) -> tuple[str, tuple[RTCIceCandidate, ...]]:
     late = []
-    for media in SessionDescription.parse(text).media:
+    for media in _description(text).media:
         for candidate in media.ice_candidates:
             if candidate.ip.endswith(".local"):
                 candidate.sdpMid = media.rtp.muxId
@@ -163,7 +167,7 @@ def _split(text: str) -> tuple[list[str], list[list[str]]]:
         if line.startswith("m="):
             parts.append([])
         if line.strip():
-            parts[-1].append(line.strip())
+            parts[-1].append(line.rstrip())
     return parts[0], parts[1:]
 
 

@@ -59,6 +59,12 @@ async (endpoint) => {
 """
 
 
+@pytest.fixture(autouse=True)
+def _nobody_watches(known_service: Service) -> None:
+    """The browser of the test before said no goodbye."""
+    wait_for("end of earlier sessions", lambda: known_service.stream()["viewers"] == 0, 25)
+
+
 def stats(page: Page) -> dict[str, object]:
     found: dict[str, object] = page.evaluate("viewer.stats()")
     return found

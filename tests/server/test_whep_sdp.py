@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import re
 
 import httpx
@@ -177,6 +178,14 @@ def test_any_fragment_is_read_or_refused(lines: list[str]) -> None:
     except OfferError:
         return
     assert all(0 <= candidate.port <= 65535 and candidate.component == 1 for candidate in fragment.candidates)
+
+
+@pytest.mark.parametrize("line", [" m=video", "\tm=video 9 X 1", "m=video 9 UDP/TLS/RTP/SAVPF 300", "a=mid:\u2028m=x"])
+def test_lines_that_our_parser_and_aiortcs_could_read_in_two_ways(line: str) -> None:
+    lines = offer(audio("0", *transport("aaaa"), CANDIDATE), video("1", "a=bundle-only")).splitlines()
+    for place in range(len(lines)):
+        with contextlib.suppress(OfferError):
+            parse_offer("\r\n".join([*lines[:place], line, *lines[place:]]))
 
 
 # --- with real clients -----------------------------------------------------------------------------------------------
