@@ -91,15 +91,13 @@ class _Push:
             await connection.setRemoteDescription(RTCSessionDescription(answer.sdp, "answer"))
         except (InvalidAccessError, InvalidStateError, OperationError, ValueError, KeyError, AttributeError, IndexError) as error:
             raise OutputFailedError(f"the WHIP endpoint's answer cannot be used: {error}", hopeless=True) from None
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(CONNECT_LIMIT_S):
-                await connected.wait()
+        await _first_of(connected, ended, limit_s=CONNECT_LIMIT_S)
         if connected.is_set():
             return ended
         if answer.ice_servers and not ice_servers:
             await self._leave()
             return await self._connect(answer.ice_servers)
-        raise OutputFailedError(f"no WebRTC connection within {CONNECT_LIMIT_S:g} s")
+        raise OutputFailedError("no WebRTC connection comes about: no ICE candidates reach each other")
 
     async def _negotiate(self, offer: str) -> Answer:
         url = self._url
@@ -169,3 +167,10 @@ class _Push:
 
     def _send(self, message: Message) -> None:
         self._writer.write(encode_message(message))
+
+
+async def _first_of(*events: asyncio.Event, limit_s: float) -> None:
+    waits = [asyncio.create_task(event.wait()) for event in events]
+    await asyncio.wait(waits, timeout=limit_s, return_when=asyncio.FIRST_COMPLETED)
+    for wait in waits:
+        wait.cancel()
