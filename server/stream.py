@@ -146,7 +146,7 @@ class Stream:
     def event_subscription(self) -> Iterator[EventOutbox]:
         """An outbox that begins with the whole present state."""
         outbox = EventOutbox(self._scene_event)
-        for event in (self._scene_event(), self._source_event(), self._viewers_event(), self._outputs_event()):
+        for event in (self._scene_event(), self._source_event(), self._outputs_event(), self._viewers_event()):
             outbox.put(event)
         self._events.add(outbox)
         try:
