@@ -14,11 +14,20 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
 from pydantic_core import ErrorDetails
 
+from server.auth import Token
+from server.network_settings import OWN, EdgeUrl, IceServer, PortRange, Turn, comma_separated, resolved
 from server.outputs.spec import ConfiguredOutput, ConfiguredPlayback
 from server.source_url import IpNetwork, SourceUrlError, check_command_line_source
 
 ENVIRONMENT_PREFIX = "MR360_"
-LISTS_OF_OBJECTS = ("ice_servers", "outputs", "playback")
+JSON_SETTINGS = {
+    "ice_servers": "a JSON list of objects with url, username, credential",
+    "turn": "a JSON object with urls, secret, ttl_s",
+    "tokens": "a JSON list of objects with token, may, streams",
+    "outputs": "a JSON list of objects with id, url, kind, …",
+    "playback": "a JSON list of objects with protocol, url, …",
+}
+SECRET_SETTINGS = ("turn", "tokens", "outputs")     # never shown, not even when they are wrong
 
 
 class ConfigError(ValueError):
@@ -28,20 +37,6 @@ class ConfigError(ValueError):
 def _data_folder(name: str) -> Path:
     data_home = os.environ.get("XDG_DATA_HOME")
     return (Path(data_home) if data_home else Path.home() / ".local" / "share") / "mr360" / name
-
-
-def _comma_separated(value: Any) -> Any:
-    return [item.strip() for item in value.split(",") if item.strip()] if isinstance(value, str) else value
-
-
-class IceServer(BaseModel):
-    """A STUN or TURN server that viewers are told about in WHEP's `Link` header."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    url: Annotated[str, Field(pattern=r"^(stuns?|turns?):[^\s<>\"]+$")]
-    username: Annotated[str, Field(pattern=r"^[\x21\x23-\x5b\x5d-\x7e]*$")] = ""
-    credential: Annotated[str, Field(pattern=r"^[\x21\x23-\x5b\x5d-\x7e]*$")] = ""
 
 
 class Settings(BaseModel):
@@ -57,12 +52,24 @@ class Settings(BaseModel):
     max_streams: Annotated[int, Field(ge=1, le=64)] = 4
     require_gpu: bool = False
     bitrate_bps: Annotated[int, Field(ge=100_000, le=200_000_000)] | None = None    # None: by geometry
-    source_networks: Annotated[tuple[IpNetwork, ...], BeforeValidator(_comma_separated)] | None = None
+    source_networks: Annotated[tuple[IpNetwork, ...], BeforeValidator(comma_separated)] | None = None
     """Networks outside the public internet that a source given over REST may lie in. None: any, as long as the
     service itself listens on loopback only; otherwise none."""
-    allowed_origins: Annotated[tuple[str, ...], BeforeValidator(_comma_separated)] = ()
+    allowed_origins: Annotated[tuple[str, ...], BeforeValidator(comma_separated)] = ()
     """Foreign web origins (`https://host`) that may use the API, WHEP and the WebSockets; `*` is any."""
     ice_servers: tuple[IceServer, ...] = ()
+    turn: Turn | None = None
+    tokens: tuple[Token, ...] = ()
+    """Who may view and control what. Empty: everybody everything."""
+    edges: tuple[EdgeUrl, ...] = ()
+    """WHEP endpoints to which viewers are sent on when max_viewers is reached; `{stream}` stands for the stream's name."""
+    udp_ports: PortRange | None = None
+    """Ports for the viewers' media, `40000-40100`; one for each viewer. None: any."""
+    advertised_addresses: Annotated[tuple[str, ...], BeforeValidator(resolved)] = (OWN,)
+    """Addresses that viewers are told to send to, in the place of the machine's own (containers, 1:1 address translation):
+    IP addresses, host names, which are looked up at the start, and `own` for the machine's own beside them."""
+    ice_networks: Annotated[tuple[IpNetwork, ...], BeforeValidator(comma_separated)] | None = None
+    """Use only the machine's addresses in these networks for media. None: all of them."""
     outputs: tuple[ConfiguredOutput, ...] = ()                  # more can be made over REST
     max_outputs: Annotated[int, Field(ge=0, le=64)] = 8         # of one stream
     recordings_dir: Path = Field(default_factory=lambda: _data_folder("recordings"))
@@ -108,6 +115,13 @@ class Settings(BaseModel):
             return False
 
     @property
+    def media_ports(self) -> range | None:
+        if self.udp_ports is None:
+            return None
+        first, _, last = self.udp_ports.partition("-")
+        return range(int(first), int(last) + 1)
+
+    @property
     def allowed_source_networks(self) -> tuple[IpNetwork, ...] | None:
         """Networks a REST source may lie in beside the public internet; None: anywhere."""
         if self.source_networks is not None:
@@ -146,15 +160,16 @@ def _from_environment(environment: Mapping[str, str]) -> dict[str, Any]:
     for variable, text in environment.items():
         if variable.startswith(ENVIRONMENT_PREFIX):
             name = variable.removeprefix(ENVIRONMENT_PREFIX).lower()
-            values[name] = _json_list(variable, text) if name in LISTS_OF_OBJECTS else text
+            values[name] = _json(name, variable, text) if name in JSON_SETTINGS else text
     return values
 
 
-def _json_list(variable: str, text: str) -> Any:
+def _json(name: str, variable: str, text: str) -> Any:
     try:
         return json.loads(text)
     except ValueError:
-        raise ConfigError(f"{variable} is no JSON, expected a list of objects") from None
+        shown = "no JSON" if name in SECRET_SETTINGS else repr(text)
+        raise ConfigError(f"{variable} is {shown}, expected {JSON_SETTINGS[name]}") from None
 
 
 def _from_file(path: Path) -> dict[str, Any]:
@@ -176,7 +191,6 @@ def _first_error(error: ErrorDetails, places: Mapping[str, Mapping[str, Any]]) -
     if isinstance(cause, SourceUrlError):
         return f"{cause} ({place})"
     expected = str(cause) if cause else error["msg"].lower().replace("input should be", "expected")
-    setting = ".".join(str(part) for part in error["loc"]) or name
-    if name in LISTS_OF_OBJECTS:        # whose values may be secrets
-        return f"{setting} ({place}): {expected}"
-    return f"{setting} is {error['input']!r} ({place}), {expected}"
+    setting = ".".join(str(part) for part in error["loc"] if "[" not in str(part)) or name    # no types of pydantic's own
+    given = "" if name in SECRET_SETTINGS else f" is {error['input']!r}"
+    return f"{setting}{given} ({place}), {expected}"

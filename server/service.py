@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from server.assets import Assets
-from server.config import IceServer, Settings
+from server.config import Settings
+from server.delivery.media_addresses import MediaAddresses, UdpPorts
 from server.delivery.whep import WhepSessions
 from server.metrics import Metrics
+from server.network_settings import IceServer
 from server.outputs.spec import OutputSpec
 from server.source_url import check_network_source, check_source_network
 from server.stream import Stream
@@ -20,7 +22,8 @@ class Service:
         self.metrics = Metrics()
         self.assets = Assets(settings.assets_dir)
         self.streams = Streams(settings, self.metrics)
-        self.whep = WhepSessions(settings.max_viewers)
+        self.whep = WhepSessions(settings.max_viewers, MediaAddresses(
+            UdpPorts(settings.media_ports), settings.advertised_addresses, settings.ice_networks))
         self.ice_server_links = tuple(_link(server) for server in settings.ice_servers)
 
     def start(self) -> None:

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from server.delivery.fanout import EncodedFrame
-from server.delivery.tracks import AUDIO, Tracks
+from server.delivery.tracks import AUDIO, Tracks, video_track
 from server.event_outbox import Event, EventOutbox
 from server.live_scene import LiveScene
 from server.metrics import StreamMetrics
 from server.newest import Newest
 from server.outputs.stream_outputs import StreamOutputs
 from server.percentiles import Percentiles
-from server.renditions import LADDER, Rendition
+from server.renditions import CODECS, LADDER, Rendition
 from server.source_url import is_file_source, masked
 from server.supervisor import Supervisor
 from server.worker.messages import Message
@@ -84,12 +84,13 @@ class Stream:
         return self._supervisor.ready
 
     @property
-    def restarts(self) -> int:
-        return self._supervisor.restarts
+    def rendition_names(self) -> list[str]:
+        """Of the ladder, best first."""
+        return [rendition.name for rendition in self._settings.renditions]
 
     @property
-    def renditions(self) -> tuple[Rendition, ...]:
-        return self._settings.renditions
+    def restarts(self) -> int:
+        return self._supervisor.restarts
 
     def scene_of(self, revision: int) -> dict[str, Any] | None:
         """The scene as JSON that a picture of that revision shows; None when it is long gone."""
@@ -229,6 +230,7 @@ class Stream:
             case "state":
                 self.input, self.output = message["input"], message["output"]
                 self.flags = [str(flag) for flag in message["flags"]]
+                self._note_bitrates()
                 self._set_state(str(message["source"]), message["detail"])
             case "snapshot":
                 self._receive_snapshot(message, payload)
@@ -243,6 +245,11 @@ class Stream:
         self.tracks.publish(track, EncodedFrame(payload, timestamp, keyframe=bool(message["keyframe"]),
                                                 decoded_at=float(message["decoded_at"]),
                                                 scene_revision=int(message.get("revision", 0))))
+
+    def _note_bitrates(self) -> None:
+        for rung in (self.output or {}).get("renditions", ()):
+            for codec in CODECS:
+                self.tracks.nominal_bps[video_track(rung["name"], codec)] = float(rung["bitrate_bps"])
 
     def _receive_lights(self, lights: dict[str, Any]) -> None:
         self.lights = dict(lights)

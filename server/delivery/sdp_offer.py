@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from aiortc import RTCIceCandidate
-from aiortc.sdp import SessionDescription, candidate_from_sdp
+from aiortc.sdp import MediaDescription, SessionDescription, candidate_from_sdp
 
 MAX_OFFER_BYTES = 64 << 10
 MAX_FRAGMENT_BYTES = 16 << 10
@@ -23,9 +23,13 @@ class CodecError(OfferError):
 
 @dataclass(frozen=True, slots=True)
 class Offer:
-    """An offer that asks for H.264 video, without the candidates whose address is yet to be looked up."""
+    """An offer that asks for video, without the candidates whose address is yet to be looked up."""
 
     text: str
+    codec: str
+    """Of the video that we shall send: `h264` where the viewer takes it, else `vp8`."""
+    sound: bool
+    """It asks for Opus too."""
     late: TrickleFragment
     """Browsers hide their address behind an mDNS name, which takes a second when nobody answers to it. Never marked as
     complete: without an address of the viewer, ICE has to wait until the viewer's own checks arrive."""
@@ -54,13 +58,24 @@ def parse_offer(text: str) -> Offer:
     wanted = [media for media in offer.media if media.kind == "video" and media.direction in ("recvonly", "sendrecv")]
     if not wanted:
         raise OfferError("the offer has no video section with a=recvonly")
-    codecs = {codec.mimeType for media in wanted for codec in media.rtp.codecs}
-    if "video/h264" not in {codec.lower() for codec in codecs}:
-        raise CodecError(f"the offer has the video codecs {', '.join(sorted(codecs)) or 'none'}, expected video/H264")
-    return _without_mdns(text, offer)
+    sound = any(codec.mimeType.lower() == "audio/opus" for media in offer.media
+                if media.kind == "audio" and media.direction in ("recvonly", "sendrecv") for codec in media.rtp.codecs)
+    text, late = _without_mdns(text, offer)
+    return Offer(text, _video_codec(wanted), sound, late)
 
 
-def _without_mdns(text: str, offer: SessionDescription) -> Offer:
+def _video_codec(wanted: list[MediaDescription]) -> str:
+    codecs = [codec for media in wanted for codec in media.rtp.codecs]
+    for codec in codecs:        # what aiortc can answer: whole access units cut into packets as it likes
+        if codec.mimeType.lower() == "video/h264" and str(codec.parameters.get("packetization-mode")) == "1":
+            return "h264"
+    if any(codec.mimeType.lower() == "video/vp8" for codec in codecs):
+        return "vp8"
+    names = ", ".join(sorted({codec.mimeType for codec in codecs})) or "none"
+    raise CodecError(f"the offer has the video codecs {names}, expected video/H264 with packetization-mode=1 or video/VP8")
+
+
+def _without_mdns(text: str, offer: SessionDescription) -> tuple[str, TrickleFragment]:
     late = []
     for media in offer.media:
         for candidate in media.ice_candidates:
@@ -68,10 +83,10 @@ def _without_mdns(text: str, offer: SessionDescription) -> Offer:
                 candidate.sdpMid = media.rtp.muxId
                 late.append(candidate)
     if not late:
-        return Offer(text, TrickleFragment((), complete=False))
+        return text, TrickleFragment((), complete=False)
     now = [line for line in text.splitlines() if line.strip() != "a=end-of-candidates"
            and not (line.startswith("a=candidate:") and ".local " in line)]
-    return Offer("\r\n".join(now) + "\r\n", TrickleFragment(tuple(late), complete=False))
+    return "\r\n".join(now) + "\r\n", TrickleFragment(tuple(late), complete=False)
 
 
 def parse_fragment(text: str) -> TrickleFragment:

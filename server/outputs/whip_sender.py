@@ -1,71 +1,58 @@
-"""Hands the stream's packets to aiortc, for one peer connection of a WHIP client."""
+"""Hands the stream's packets to the delivery's own RTP sender, for the one peer connection of a WHIP client."""
 
 from __future__ import annotations
 
-import asyncio
-from collections import deque
 from collections.abc import Callable
-from fractions import Fraction
-from typing import Any
 
-import av
-from aiortc import MediaStreamTrack, RTCPeerConnection, RTCRtpCodecCapability, RTCRtpSender
-from aiortc.mediastreams import MediaStreamError
+from aiortc import RTCPeerConnection, RTCRtpCodecCapability, RTCRtpSender
 
-from server.delivery import aiortc_hooks
+from server.delivery.fanout import EncodedFrame, Taker
+from server.delivery.feed import FeedTrack
+from server.delivery.reception import Reception, Report
+from server.delivery.stream_clock import StreamClock
 
-MAX_QUEUED = 32
-VIDEO_TIME_BASE = Fraction(1, 90_000)
-AUDIO_TIME_BASE = Fraction(1, 48_000)
+VIDEO_CLOCK_HZ = 90_000
 
 
-class PushTrack(MediaStreamTrack):
-    """Fed by `push`; cut to the next keyframe when aiortc is slower than that."""
+class PushedFeed:
+    """Frames as the server pushes them; cut to the next keyframe where the connection is slower."""
 
-    def __init__(self, kind: str, request_keyframe: Callable[[], None]) -> None:
-        self.kind = kind
-        super().__init__()
-        self._request_keyframe = request_keyframe
-        self._time_base = VIDEO_TIME_BASE if kind == "video" else AUDIO_TIME_BASE
-        self._queue: deque[tuple[int, bytes]] = deque()
-        self._filled = asyncio.Event()
-        self._needs_keyframe = True
+    def __init__(self, codec: str, clock: StreamClock, request_keyframe: Callable[[], None]) -> None:
+        self.codec = codec
+        self.clock = clock
+        self.reception = Reception()
+        self.request_keyframe = request_keyframe
+        self._taker = Taker(request_keyframe, needs_keyframe=codec == "h264")
 
-    def push(self, timestamp: int, data: bytes, *, keyframe: bool) -> bool:
-        """Returns whether the packet will go out."""
-        if len(self._queue) >= MAX_QUEUED:
-            self._queue.clear()
-            self._needs_keyframe = True
-            self._request_keyframe()
-        if self._needs_keyframe and not keyframe:
-            return False
-        self._needs_keyframe = False
-        self._queue.append((timestamp, data))
-        self._filled.set()
-        return True
+    def push(self, frame: EncodedFrame) -> None:
+        if self.codec == "h264":
+            self.clock.start(frame.timestamp, VIDEO_CLOCK_HZ, frame.decoded_at)
+        self._taker.offer(frame)
 
-    async def recv(self) -> Any:
-        if self.readyState != "live":
-            raise MediaStreamError
-        while not self._queue:
-            self._filled.clear()
-            await self._filled.wait()
-        timestamp, data = self._queue.popleft()
-        packet: Any = av.Packet(data)
-        packet.pts = timestamp & 0xFFFFFFFF
-        packet.time_base = self._time_base
-        return packet
+    async def next_frame(self) -> EncodedFrame:
+        return await self._taker.next_frame()
+
+    def close(self) -> None:
+        """Nobody else holds anything of it."""
 
 
-def add_tracks(connection: RTCPeerConnection, request_keyframe: Callable[[], None], *, sound: bool) -> dict[str, PushTrack]:
-    """Video as H.264 and, if there is sound, Opus; to be called before the offer is made. PLI and FIR call `request_keyframe`."""
-    tracks = {kind: PushTrack(kind, request_keyframe) for kind in (("video", "audio") if sound else ("video",))}
-    for kind, track in tracks.items():
-        transceiver = connection.addTransceiver(track, direction="sendonly")
-        if kind == "video":
-            transceiver.setCodecPreferences(_h264_with_retransmission())
-            aiortc_hooks.on_keyframe_request(transceiver.sender, request_keyframe)
-    return tracks
+def add_feeds(connection: RTCPeerConnection, request_keyframe: Callable[[], None], *, sound: bool) -> dict[str, PushedFeed]:
+    """Feeds for `picture`, as H.264, and `sound`, if there is any, as Opus. To be called before the offer is made; the process
+    has `aiortc_hooks.install` behind it."""
+    clock = StreamClock()
+    feeds = {"picture": PushedFeed("h264", clock, request_keyframe)}
+    feeds["picture"].reception.heard = lambda report: _after_silence(report, request_keyframe)
+    video = connection.addTransceiver(FeedTrack("video", feeds["picture"]), direction="sendonly")
+    video.setCodecPreferences(_h264_with_retransmission())
+    if sound:
+        feeds["sound"] = PushedFeed("opus", clock, lambda: None)
+        connection.addTransceiver(FeedTrack("audio", feeds["sound"]), direction="sendonly")
+    return feeds
+
+
+def _after_silence(report: Report, request_keyframe: Callable[[], None]) -> None:
+    if report.after_silence:
+        request_keyframe()      # whatever the other side has is broken
 
 
 def _h264_with_retransmission() -> list[RTCRtpCodecCapability]:

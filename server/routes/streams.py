@@ -99,6 +99,13 @@ async def stats(stream: StreamDep) -> dict[str, Any]:
     return stream.stats()
 
 
+@router.get("/{stream}/viewers")
+async def viewers(stream: StreamDep, service: ServiceDep) -> list[dict[str, Any]]:
+    """Who watches: rendition, codec, what the viewer's receiver reports (`fraction_lost` of the last second, round-trip time, its
+    own `estimate_bps` of its bandwidth), what was sent, sent again, asked for, and lost to slowness (`dropped`)."""
+    return [session.describe() for session in service.whep.of(stream)]
+
+
 async def _checked(source: str | None, service: Service) -> str | None:
     if source is None:
         return None

@@ -14,7 +14,7 @@ import numpy as np
 from renderer.color import YuvFormat
 from server.delivery.fanout import EncodedFrame
 from server.delivery.tracks import AUDIO, Tracks
-from server.worker.encode import Composited, Encoder
+from server.worker.h264 import H264Encoder
 from server.worker.picture import FramePool
 
 SIZE = (256, 128)
@@ -60,31 +60,27 @@ class EncodedStream:
         self._keyframe_wanted = True
 
     async def _run(self) -> None:
-        encoder, pool = _encoder(self._size), FramePool(self._size)
+        layout = YuvFormat("bt709", False)
+        encoder, pool = H264Encoder(self._size, FPS, 1_000_000, layout), FramePool(self._size)
         opus, samples = _opus_encoder(), 0
         started = time.monotonic()
         for number in range(1_000_000):
             seconds = number / FPS
             await asyncio.sleep(max(0.0, started + seconds / self._speed - time.monotonic()))
-            picture, video = pool.take(YuvFormat("bt709", False))
+            picture, video = pool.take(layout)
             white = seconds % 1.0 < FLASH_S - 1e-6
             picture.y[...] = 235 if white else 60
             picture.u[...], picture.v[...] = 128, 128
             timestamp = FIRST_TIMESTAMP + round(seconds * 90_000)
             keyframe, self._keyframe_wanted = self._keyframe_wanted, False
-            item = Composited(picture, video, number, timestamp, time.monotonic(), 0.0, revision=self.revision)
-            for data, is_keyframe in encoder.encode(item, keyframe=keyframe):
-                self.tracks.publish("full/h264", EncodedFrame(data, timestamp, keyframe=is_keyframe, decoded_at=item.decoded_at,
-                                                              scene_revision=item.revision))
+            for data, is_keyframe in encoder.encode(video, timestamp, keyframe=keyframe):
+                self.tracks.publish("full/h264", EncodedFrame(data, timestamp, keyframe=is_keyframe, decoded_at=time.monotonic(),
+                                                              scene_revision=self.revision))
             while self._sound and samples < (seconds + 1 / FPS) * 48_000:
                 for packet in opus.encode(_beep(samples)):
                     ticks = FIRST_TIMESTAMP * 8 // 15 + samples
                     self.tracks.publish(AUDIO, EncodedFrame(bytes(packet), ticks, keyframe=True, decoded_at=time.monotonic()))
                 samples += 960
-
-
-def _encoder(size: tuple[int, int]) -> Encoder:
-    return Encoder(size, FPS, 1_000_000, bt709=True, full_range=False)
 
 
 def _opus_encoder() -> Any:

@@ -53,7 +53,7 @@ def test_private_sources_by_default_only_when_the_service_is_private(host: str, 
     ({"source": "/no/such/file"}, {}, "source '/no/such/file' does not exist"),
     ({}, {"MR360_ALLOWED_ORIGINS": "example.com"}, "origin is 'example.com', expected https://HOST"),
     ({}, {"MR360_SOURCE_NETWORKS": "10.0.0.1/8"}, "source_networks.0"),
-    ({}, {"MR360_ICE_SERVERS": "turn:x"}, "MR360_ICE_SERVERS is no JSON, expected a list of objects"),
+    ({}, {"MR360_ICE_SERVERS": "turn:x"}, "MR360_ICE_SERVERS is 'turn:x', expected a JSON list"),
     ({}, {"MR360_REQUIRE_GPU": "perhaps"}, "require_gpu is 'perhaps' (environment)"),
 ])
 def test_messages_name_value_and_expectation(given: dict[str, str], environment: dict[str, str],

@@ -138,9 +138,9 @@ async def test_offers_that_cannot_be_served(client: httpx.Client) -> None:
     assert_problem(client.post("/whep/live", content="v=0\r\n" + "a" * 70_000, headers=OFFER_TYPE), 413)
     assert_problem(client.post("/whep/live", content=await new_offer("audio"), headers=OFFER_TYPE), 400, "no video")
     assert_problem(client.post("/whep/live", content=await new_offer(direction="sendonly"), headers=OFFER_TYPE), 400)
-    for wrong in (offer.replace("H264", "H265"), offer.replace("packetization-mode=1", "packetization-mode=0")):
-        assert_problem(client.post("/whep/live", content=wrong, headers=OFFER_TYPE), 406, "H264" if "H265" in wrong else
-                       "packetization-mode=1")
+    without_vp8 = offer.replace("VP8", "AV1")
+    for wrong in (without_vp8.replace("H264", "H265"), without_vp8.replace("packetization-mode=1", "packetization-mode=0")):
+        assert_problem(client.post("/whep/live", content=wrong, headers=OFFER_TYPE), 406, "packetization-mode=1 or video/VP8")
     assert_problem(client.post("/whep/live", content=offer.replace("a=ice-ufrag", "a=x"), headers=OFFER_TYPE), 400)
     cut = offer[:len(offer) // 2]
     assert client.post("/whep/live", content=cut, headers=OFFER_TYPE).status_code in (400, 406)
@@ -190,3 +190,20 @@ async def test_an_address_that_does_not_resolve_delays_nobody(served: Served, cl
         durations[name] = time.monotonic() - began
         assert client.delete(response.headers["location"]).status_code == 200
     assert durations["hidden"] < durations["plain"] + 0.9, durations
+
+
+async def test_a_viewer_is_listed_with_what_its_receiver_reports(served: Served, client: httpx.Client) -> None:
+    async with WhepViewer(served.url) as viewer:
+        await viewer.next_frame()
+        seen = {"rtt_ms": None}
+        while seen["rtt_ms"] is None:       # until a receiver report has come
+            await viewer.next_frame()
+            [seen] = client.get("/api/streams/live/viewers").json()
+        assert (seen["state"], seen["rendition"], seen["codec"], seen["sound"]) == ("connected", "full", "h264", False)
+        assert (seen["rtp_packets_lost"], seen["fraction_lost"], seen["dropped"]) == (0, 0.0, 0)
+        assert seen["rtp_packets_sent"] >= 1
+        assert viewer.session_url.rpartition("/")[2] not in str(seen)
+    wait_for(lambda: client.get("/api/streams/live/viewers").json() == [], "the viewer has left")
+    metrics = dict(line.rsplit(" ", 1) for line in client.get("/metrics").text.splitlines() if not line.startswith("#"))
+    assert float(metrics['mr360_rtp_packets_sent_total{stream="live"}']) >= len(viewer.rtp)
+    assert float(metrics['mr360_track_takers{stream="live",track="full/h264"}']) == 0

@@ -29,15 +29,15 @@ def test_a_wake_ends_the_wait() -> None:
 
 def test_the_output_clock_keeps_the_sources_spacing_under_jitter() -> None:
     clock = OutputClock(1000)
-    ticks = [clock.timestamp(index / 30, 50.0 + index / 30 + jitter) for index, jitter in enumerate([0, 0.02, -0.01, 0.03])]
+    ticks = [clock.ticks(clock.moment(index / 30, 50.0 + index / 30 + jitter)) for index, jitter in enumerate([0, 0.02, -0.01, 0.03])]
     assert ticks == [1000 + index * 3000 for index in range(4)]
     assert clock.discontinuities == 0
 
 
 def test_the_output_clock_survives_a_restart_of_the_source() -> None:
     clock = OutputClock(0)
-    first = [clock.timestamp(100 + index / 30, index / 30) for index in range(30)]
-    again = [clock.timestamp(index / 30, 5 + index / 30) for index in range(30)]
+    first = [clock.ticks(clock.moment(100 + index / 30, index / 30)) for index in range(30)]
+    again = [clock.ticks(clock.moment(index / 30, 5 + index / 30)) for index in range(30)]
     assert again[0] - first[-1] == pytest.approx(4 * CLOCK_RATE, abs=CLOCK_RATE / 10)
     assert clock.discontinuities == 1
 
@@ -48,7 +48,7 @@ def test_the_output_clock_never_goes_back(steps: list[tuple[float | None, float]
     now, last = 100.0, 7 - MIN_STEP
     for pts, step in steps:
         now += step
-        ticks = clock.timestamp(pts, now)
+        ticks = clock.ticks(clock.moment(pts, now))
         assert ticks >= last + MIN_STEP
         last = ticks
 
