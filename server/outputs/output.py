@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 from server.delivery.fanout import EncodedFrame
 from server.delivery.tracks import AUDIO, Tracks, video_track
-from server.outputs.process import OutputProcess
+from server.outputs.process import SILENCE_LIMIT_S, OutputProcess
 from server.outputs.spec import OutputSpec
 from server.worker.messages import Message
 
@@ -161,7 +161,7 @@ class Output:
             await asyncio.wait([running, *feeding], return_when=asyncio.FIRST_COMPLETED)
             if self._ended is None:     # what feeds may notice the end first, but only the process says why
                 await asyncio.wait([running], timeout=1.0)
-            return self._ended or _Ended(f"the output's process {running.result() if running.done() else 'does not read'}")
+            return self._ended or _Ended(self._reason(process, running.result() if running.done() else "does not read"))
         finally:
             self._process = None
             for task in (running, *feeding):
@@ -169,6 +169,11 @@ class Output:
             await asyncio.gather(running, *feeding, return_exceptions=True)
             await asyncio.shield(process.stop())
             self._counted, self._counts = {"frames": self.frames, "bytes": self.bytes_out}, {"frames": 0, "bytes": 0}
+
+    def _reason(self, process: OutputProcess, ending: str) -> str:
+        if process.fell_silent and self._ready.is_set() and self._live_at is None and self.spec.url is not None:
+            return f"no answer within {SILENCE_LIMIT_S:g} s"     # FFmpeg connects without letting others run
+        return f"the output's process {ending}"
 
     def _start_message(self, sound: bool) -> Message:
         spec = self.spec

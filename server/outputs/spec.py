@@ -163,6 +163,8 @@ def _check_url(kind: Kind, url: str | None) -> None:
     expected = ["http", "https"] if kind == "whip" else [scheme for scheme in SCHEMES if SCHEMES[scheme] == kind]
     if parts.scheme not in expected:
         raise SourceUrlError(f"url scheme is {parts.scheme!r}, expected {' or '.join(expected)} for kind {kind}")
+    if kind == "whip" and "@" in parts.netloc:
+        raise SourceUrlError("url has a user name or password, expected a token beside it")
     if kind == "rtmp" and len([part for part in parts.path.split("/") if part]) < 2:
         raise SourceUrlError(f"url is incomplete, expected {parts.scheme}://HOST/APP/KEY")
 

@@ -84,8 +84,8 @@ def wait_output(service: Service, output_id: str, state: str, seconds: float = 3
 
 
 def pull(url: str) -> av.container.InputContainer:
-    """Open what a media server plays, without FFmpeg's usual five seconds of listening."""
-    return av.open(url, options={"analyzeduration": "1500000", "rtsp_transport": "tcp"}, timeout=15)
+    """Open what a media server plays; keyframes come every two seconds, and FFmpeg would listen for five."""
+    return av.open(url, options={"analyzeduration": "3000000", "rtsp_transport": "tcp"}, timeout=15)
 
 
 def pictures(container: av.container.InputContainer, count: int) -> list[NDArray[np.uint8]]:

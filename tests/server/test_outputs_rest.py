@@ -176,3 +176,24 @@ def test_outputs_elsewhere_in_the_network_are_refused_by_a_public_service(panora
                 assert "expected a public one or one in the setting source_networks" in answer.json()["detail"]
     finally:
         stop_service(served)
+
+
+def test_no_output_outlives_a_service_that_is_killed(panorama: Path, tmp_path: Path) -> None:
+    config = tmp_path / "mr360.toml"
+    config.write_text(f'''
+recordings_dir = "{tmp_path / 'recordings'}"
+outputs = [{{id = "rec", kind = "record", prefix = "x"}}, {{id = "push", url = "{NOBODY}"}}]
+''')
+    served = start_service("--source", str(panorama), "--config", str(config), assets_dir=tmp_path / "assets")
+    try:
+        with httpx.Client(base_url=served.url, timeout=30) as client:
+            wait_for(lambda: client.get(f"{OUTPUTS}/rec").json()["state"] == "live", "recording is live", 60)
+        children = Path(f"/proc/{served.process.pid}/task/{served.process.pid}/children").read_text().split()
+        pids = [int(pid) for pid in children if b"server.outputs" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+        assert pids
+        assert SECRET.encode() not in b"".join(Path(f"/proc/{pid}/cmdline").read_bytes() for pid in pids)
+        served.process.kill()
+        served.process.wait()
+        wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in pids), "the outputs end by themselves", 10)
+    finally:
+        stop_service(served)

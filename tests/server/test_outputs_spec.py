@@ -47,6 +47,7 @@ def test_kinds(given: dict[str, Any], kind: str, url: str | None) -> None:
     ({"kind": "record", "prefix": "a", "url": "rtsp://h/x"}, "a recording has no url"),
     ({"url": "rtsp://h/x", "prefix": "a"}, "prefix is for kind record"),
     ({"url": "rtsp://h/x", "token": "t"}, "token is for kind whip"),
+    ({"url": "whip+http://user:word@h/x"}, "expected a token beside it"),
     ({"url": "whip+http://h/x", "token": "a\r\nb"}, "expected a bearer token"),
     ({"url": "rtsp://h/x", "rendition": "huge"}, "rendition is 'huge', expected one of full, medium, low"),
     ({"url": "rtsp://h/x", "tokn": "t"}, "Extra inputs"),
