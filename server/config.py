@@ -24,10 +24,10 @@ JSON_SETTINGS = {
     "ice_servers": "a JSON list of objects with url, username, credential",
     "turn": "a JSON object with urls, secret, ttl_s",
     "tokens": "a JSON list of objects with token, may, streams",
-    "outputs": "a JSON list of objects",
-    "playback": "a JSON list of objects with protocol, url",
+    "outputs": "a JSON list of objects with id, url, kind, …",
+    "playback": "a JSON list of objects with protocol, url, …",
 }
-SECRET_SETTINGS = ("turn", "tokens", "outputs", "playback")     # their values are never shown, not even when they are wrong
+SECRET_SETTINGS = ("turn", "tokens", "outputs")     # their values are never shown, not even when they are wrong
 
 
 class ConfigError(ValueError):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from typing import Annotated, Any, Literal
-from urllib.parse import urlsplit
+from urllib.parse import parse_qsl, urlsplit
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
@@ -117,7 +117,7 @@ class OutputSpec(BaseModel):
         secrets = [self.token] if self.token else []
         if self.url is not None:
             parts = urlsplit(self.url)
-            secrets += [text for text in (parts.query, parts.username, parts.password) if text]
+            secrets += [text for text in (parts.username, parts.password, *(value for _, value in parse_qsl(parts.query))) if text]
             secrets += _PATH_PART.findall(parts.path)
             if self.kind == "rtmp":
                 secrets += [key for key in [parts.path.rpartition("/")[2]] if key]
