@@ -6,8 +6,8 @@ const OF_A_CANDIDATE = /^a=(candidate:|end-of-candidates)/;
 export function restartFragment(sdp) {
   const [, first] = sections(sdp);
   const kind = first[0].match(/^m=(\w+)/)[1];
-  const kept = first.filter((line) => /^a=(mid:|ice-ufrag:|ice-pwd:)/.test(line) || OF_A_CANDIDATE.test(line));
-  return joined([`m=${kind} 9 UDP/TLS/RTP/SAVPF 0`, ...kept]);
+  const head = first.filter((line) => /^a=(mid:|ice-ufrag:|ice-pwd:)/.test(line));
+  return joined([`m=${kind} 9 UDP/TLS/RTP/SAVPF 0`, ...head, ...first.filter((line) => OF_A_CANDIDATE.test(line))]);
 }
 
 /** The remote description with the credentials and candidates of the server's fragment; null if it has none. */

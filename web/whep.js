@@ -11,6 +11,7 @@ const ANSWER_MS = 10_000;
 const CONNECT_MS = 15_000;     // from the answer to the first connected state
 const DISCONNECTED_MS = 2000;  // ICE often recovers by itself from a short break; then it is restarted
 const RESTART_MS = 8000;       // for that, before there is a new session
+const RESTART_PAUSE_MS = 500;
 const RESTART_GATHERING_MS = 500;
 const STABLE_MS = 10_000;      // connected for so long: the next failure starts with a short pause again
 const LONGEST_PAUSE_MS = 60_000;
@@ -91,7 +92,7 @@ export class WhepClient extends EventTarget {
     this.#enter('connecting');
     try {
       const asking = withinReach(this.#url, this.#playback);
-      const servers = await this.#iceServers(signal);
+      const servers = await this.#iceServers(signal) ?? [];
       const peer = this.#createPeer(servers, signal);
       const offer = await describeLocally(peer, await peer.createOffer(), GATHERING_MS);
       signal.throwIfAborted();
@@ -142,10 +143,15 @@ export class WhepClient extends EventTarget {
     const { peer } = this;
     if (this.state !== 'connected' || this.#restarting || !this.#sessionUrl) return;
     const { signal } = this.#abort;
+    const limit = anySignal(signal, RESTART_MS);
     this.#restarting = true;
     try {
-      await this.#negotiateRestart(peer, anySignal(signal, RESTART_MS));
-      await somethingReceived(peer, anySignal(signal, RESTART_MS));
+      const before = await bytesReceived(peer);
+      while (!await this.#negotiateRestart(peer, limit)) {
+        await new Promise((resolve) => setTimeout(resolve, RESTART_PAUSE_MS));
+        if (await bytesReceived(peer) !== before) return;     // the old path is back
+      }
+      await somethingReceived(peer, limit);
     } catch (error) {
       if (!signal.aborted && error.reason === 'not-found') this.#connectAnew();
       else this.#broken(signal);
@@ -160,18 +166,22 @@ export class WhepClient extends EventTarget {
     this.#connect();
   }
 
+  /** False if the server cannot be reached: the network may be gone for a moment. */
   async #negotiateRestart(peer, signal) {
-    peer.setConfiguration({ ...peer.getConfiguration(), iceServers: await this.#iceServers(signal) });   // they may have expired
+    const iceServers = await this.#iceServers(signal);      // the credentials may have expired
+    if (iceServers) peer.setConfiguration({ ...peer.getConfiguration(), iceServers });
     const offer = await describeLocally(peer, await peer.createOffer({ iceRestart: true }), RESTART_GATHERING_MS);
     signal.throwIfAborted();
     const response = await fetch(this.#sessionUrl, {
       method: 'PATCH', body: restartFragment(offer), signal,
       headers: authorized({ 'Content-Type': 'application/trickle-ice-sdpfrag', 'If-Match': '*' }),
-    });
+    }).catch(() => signal.throwIfAborted());
+    if (!response) return false;
     if (response.status !== 200) throw await refusal(response);
     const sdp = restartedAnswer(peer.currentRemoteDescription.sdp, await response.text());
     signal.throwIfAborted();
     await peer.setRemoteDescription({ type: 'answer', sdp });
+    return true;
   }
 
   #connected() {
@@ -187,7 +197,7 @@ export class WhepClient extends EventTarget {
       return iceServersFromLink(response.headers.get('Link'));
     } catch {
       signal.throwIfAborted();
-      return [];   // POST will say what is wrong
+      return null;   // POST will say what is wrong
     }
   }
 

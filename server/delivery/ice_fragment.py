@@ -27,24 +27,36 @@ class Fragment:
 def parse_fragment(text: str) -> Fragment:
     """Raises OfferError."""
     mid, complete = None, False
+    unnamed: list[RTCIceCandidate] = []     # of the present media section: its mid may come after them
     credentials: dict[str, str] = {}
     candidates: list[RTCIceCandidate] = []
     for line in text.splitlines():
         key, _, value = line.strip().partition(":")
         if key == "a=mid":
             mid = value
+            for candidate in unnamed:
+                candidate.sdpMid = mid
         elif key in ("a=ice-ufrag", "a=ice-pwd"):
             credentials.setdefault(key, value)      # bundled sections have the same ones
         elif key == "a=end-of-candidates":
             complete = True
         elif key == "a=candidate":
             candidates.append(_candidate(value, mid))
-        elif key and not key.startswith(("a=", "m=")):
+            unnamed += [] if mid else candidates[-1:]
+        elif key.startswith("m="):
+            mid, unnamed = None, []
+        elif key and not key.startswith("a="):
             raise OfferError(f"the fragment has the line {line[:80]!r}, expected lines with a= and m=")
+    return Fragment(_checked(candidates), complete, credentials.get("a=ice-ufrag"), credentials.get("a=ice-pwd"))
+
+
+def _checked(candidates: list[RTCIceCandidate]) -> tuple[RTCIceCandidate, ...]:
+    """Those that can be used. Raises OfferError."""
     if len(candidates) > MAX_CANDIDATES:
         raise OfferError(f"the fragment has {len(candidates)} candidates, expected at most {MAX_CANDIDATES}")
-    usable = tuple(one for one in candidates if one.protocol.lower() == "udp" and one.component == 1)
-    return Fragment(usable, complete, credentials.get("a=ice-ufrag"), credentials.get("a=ice-pwd"))
+    if any(not candidate.sdpMid for candidate in candidates):
+        raise OfferError("the fragment has candidates in a media section without a=mid")
+    return tuple(one for one in candidates if one.protocol.lower() == "udp" and one.component == 1)
 
 
 def fragment_text(kind: str, mid: str, username: str, password: str, candidates: Iterable[RTCIceCandidate]) -> str:
@@ -61,7 +73,5 @@ def _candidate(value: str, mid: str | None) -> RTCIceCandidate:
         raise OfferError(f"the fragment has the candidate {value[:80]!r}, expected the form of RFC 8839") from None
     if not 0 <= candidate.port <= 65535:
         raise OfferError(f"the candidate {value[:80]!r} has the port {candidate.port}, expected at most 65535")
-    if mid is None:
-        raise OfferError(f"the candidate {value[:80]!r} stands before any a=mid line")
     candidate.sdpMid = mid
     return candidate

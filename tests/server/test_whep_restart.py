@@ -70,9 +70,9 @@ async def test_frames_go_on_through_several_restarts(served: Served) -> None:
             tags.add(answer.headers["etag"])
             await nominated_anew(viewer, before)
             count = len(viewer.rtp)
-            for _ in range(5):
-                await viewer.next_frame()
-            assert len(viewer.rtp) > count
+            async with asyncio.timeout(20):
+                while len(viewer.rtp) < count + 10:
+                    await viewer.next_frame()
         assert len(tags) == 4
         assert viewer.connection.connectionState == "connected"
 

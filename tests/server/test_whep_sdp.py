@@ -120,6 +120,21 @@ def test_what_is_wrong_is_named(text: str, error: type[OfferError], complaint: s
         parse_offer(text)
 
 
+def test_the_mid_of_a_section_may_come_after_its_candidates() -> None:
+    """As in a browser's own description."""
+    text = f"m=video 9 X 0\r\n{CANDIDATE}\r\na=ice-ufrag:abcd\r\na=mid:0\r\nm=audio 9 X 0\r\na=mid:1\r\n{CANDIDATE}\r\n"
+    fragment = parse_fragment(text)
+    assert [candidate.sdpMid for candidate in fragment.candidates] == ["0", "1"]
+    assert fragment.username == "abcd"
+    with pytest.raises(OfferError, match="without a=mid"):
+        parse_fragment(text.replace("a=mid:0\r\n", ""))
+
+
+def test_candidates_that_can_never_be_used_are_left_out() -> None:
+    others = [CANDIDATE.replace(" udp ", " tcp "), CANDIDATE.replace(":1 1 ", ":1 2 "), CANDIDATE.replace(" udp ", " UDP ")]
+    assert len(parse_fragment("\r\n".join(["a=mid:0", *others])).candidates) == 1
+
+
 # --- what comes from strangers ---------------------------------------------------------------------------------------
 
 LINES = st.sampled_from([

@@ -10,8 +10,8 @@ const REMOTE = lines('v=0', 'm=video 4000 UDP/TLS/RTP/SAVPF 96', 'a=mid:0', 'a=c
   'a=end-of-candidates', 'a=ice-ufrag:old', 'a=ice-pwd:old', 'm=audio 4000 UDP/TLS/RTP/SAVPF 111', 'a=ice-ufrag:old', 'a=ice-pwd:old');
 
 test('the fragment has the credentials and candidates of the shared transport and nothing else', () => {
-  assert.equal(restartFragment(LOCAL), lines('m=video 9 UDP/TLS/RTP/SAVPF 0', 'a=candidate:1 1 udp 1 192.0.2.1 5 typ host',
-    'a=ice-ufrag:mine', 'a=ice-pwd:secret', 'a=mid:0'));
+  assert.equal(restartFragment(LOCAL), lines('m=video 9 UDP/TLS/RTP/SAVPF 0', 'a=ice-ufrag:mine', 'a=ice-pwd:secret', 'a=mid:0',
+    'a=candidate:1 1 udp 1 192.0.2.1 5 typ host'));
 });
 
 test('the answer has the new credentials everywhere and only the new candidates', () => {
