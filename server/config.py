@@ -27,7 +27,7 @@ JSON_SETTINGS = {
     "outputs": "a JSON list of objects with id, url, kind, …",
     "playback": "a JSON list of objects with protocol, url, …",
 }
-SECRET_SETTINGS = ("turn", "tokens", "outputs")     # never shown, not even when they are wrong
+SECRET_SETTINGS = ("turn", "tokens", "outputs")     # their values are never shown, not even when they are wrong
 
 
 class ConfigError(ValueError):
@@ -185,12 +185,12 @@ def _from_file(path: Path) -> dict[str, Any]:
 def _first_error(error: ErrorDetails, places: Mapping[str, Mapping[str, Any]]) -> str:
     name = str(error["loc"][0]) if error["loc"] else "outputs"      # a rule about several settings: all of these are
     place = next((place for place, values in places.items() if name in values), "default")
-    if error["type"] == "extra_forbidden" and len(error["loc"]) == 1:
+    if error["type"] == "extra_forbidden":
         return f"setting {name!r} ({place}) is unknown, expected one of {', '.join(Settings.model_fields)}"
     cause = error.get("ctx", {}).get("error")
     if isinstance(cause, SourceUrlError):
         return f"{cause} ({place})"
     expected = str(cause) if cause else error["msg"].lower().replace("input should be", "expected")
-    setting = ".".join(str(part) for part in error["loc"] if "[" not in str(part)) or name    # no types of pydantic's own
+    setting = ".".join(str(part) for part in error["loc"] if "[" not in str(part)) or name     # no types of pydantic's own
     given = "" if name in SECRET_SETTINGS else f" is {error['input']!r}"
     return f"{setting}{given} ({place}), {expected}"

@@ -54,12 +54,6 @@ class Metrics:
             ("quality_level", "Reductions of accuracy in force, for lack of time"),
             ("quality_predicted_error", "Relative error that they are predicted to make"),
         )}
-        labels = ["stream", "output"]
-        self._output_up = Gauge("mr360_output_up", "1 when the output is live", labels, registry=self.registry)
-        self._output_counters = {
-            "bytes": Counter("mr360_output_bytes", "Bytes of packets that went out", labels, registry=self.registry),
-            "restarts": Counter("mr360_output_restarts", "Times the output was tried again", labels, registry=self.registry)}
-        self._outputs_counted: dict[tuple[str, str], dict[str, int]] = {}
         self._delivery = {name: Counter(f"mr360_{name}", text, ["stream"], registry=self.registry)
                           for name, text in DELIVERY_COUNTERS.items()}
         self._delivered: dict[str, dict[str, int]] = {}      # stream: what its counters stand at
@@ -67,6 +61,12 @@ class Metrics:
             ("takers", "Viewers and outputs of an encoded track"),
             ("bitrate_bps", "Bits per second that its encoder gives"),
         )}
+        labels = ["stream", "output"]
+        self._output_up = Gauge("mr360_output_up", "1 when the output is live", labels, registry=self.registry)
+        self._output_counters = {
+            "bytes": Counter("mr360_output_bytes", "Bytes of packets that went out", labels, registry=self.registry),
+            "restarts": Counter("mr360_output_restarts", "Times the output was tried again", labels, registry=self.registry)}
+        self._outputs_counted: dict[tuple[str, str], dict[str, int]] = {}
         self.decisions = Counter("mr360_quality_decisions", "Accuracy given up or taken back", ["stream"],
                                  registry=self.registry)
 
@@ -85,6 +85,16 @@ class Metrics:
                 self._gauges[name].labels(stream.name).set(value)
         return generate_latest(self.registry)
 
+    def _delivery_of(self, stream: Stream) -> None:
+        counts, before = stream.tracks.counts(), self._delivered.setdefault(stream.name, {})
+        for name, counter in self._delivery.items():
+            # rtp_packets_lost is the viewers' own count, which may go back when a late packet comes
+            counter.labels(stream.name).inc(max(0, counts[name] - before.get(name, 0)))
+            before[name] = max(counts[name], before.get(name, 0))
+        for track, takers, bps in stream.tracks.load():
+            self._tracks["takers"].labels(stream.name, track).set(takers)
+            self._tracks["bitrate_bps"].labels(stream.name, track).set(bps)
+
     def _set_outputs(self, outputs: dict[tuple[str, str], Output]) -> None:
         for key in self._outputs_counted.keys() - outputs.keys():
             del self._outputs_counted[key]
@@ -98,16 +108,6 @@ class Metrics:
                 # Below what has been counted: another output of that id took its place between two scrapes.
                 counter.labels(*key).inc(counts[name] - counted[name] if counts[name] >= counted[name] else counts[name])
             self._outputs_counted[key] = counts
-
-    def _delivery_of(self, stream: Stream) -> None:
-        counts, before = stream.tracks.counts(), self._delivered.setdefault(stream.name, {})
-        for name, counter in self._delivery.items():
-            # rtp_packets_lost is the viewers' own count, which may go back when a late packet comes
-            counter.labels(stream.name).inc(max(0, counts[name] - before.get(name, 0)))
-            before[name] = max(counts[name], before.get(name, 0))
-        for track, takers, bps in stream.tracks.load():
-            self._tracks["takers"].labels(stream.name, track).set(takers)
-            self._tracks["bitrate_bps"].labels(stream.name, track).set(bps)
 
     def forget(self, stream: str) -> None:
         """Remove the series of a stream that is deleted."""

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import logging
+
 from server.assets import Assets
+from server.auth import Tokens
 from server.config import Settings
 from server.delivery.media_addresses import MediaAddresses, UdpPorts
 from server.delivery.whep import WhepSessions
 from server.metrics import Metrics
-from server.network_settings import IceServer
+from server.outputs.playback import whep_edge
 from server.outputs.spec import OutputSpec
+from server.rate_limit import RateLimit
 from server.source_url import check_network_source, check_source_network
 from server.stream import Stream
 from server.streams import LIVE, Streams
+from server.turn import turn_credentials
+
+logger = logging.getLogger(__name__)
 
 
 class Service:
@@ -24,9 +31,12 @@ class Service:
         self.streams = Streams(settings, self.metrics)
         self.whep = WhepSessions(settings.max_viewers, MediaAddresses(
             UdpPorts(settings.media_ports), settings.advertised_addresses, settings.ice_networks))
-        self.ice_server_links = tuple(_link(server) for server in settings.ice_servers)
+        self.tokens = Tokens(settings.tokens)
+        self.offers = RateLimit(burst=2 * settings.max_viewers, per_second=min(20.0, settings.max_viewers / 5.0))
 
     def start(self) -> None:
+        if not self.tokens.required and not self.settings.loopback_only:
+            logger.warning("everybody who reaches %s may view and control: the setting tokens is empty", self.settings.host)
         self.streams.add(LIVE, self.settings.source)
 
     async def close(self) -> None:
@@ -36,6 +46,19 @@ class Service:
     async def remove_stream(self, stream: Stream) -> None:
         await self.whep.close_stream(stream)
         await self.streams.remove(stream.name)
+
+    def ice_server_links(self) -> list[str]:
+        """Values of `Link` headers (draft-ietf-wish-whep section 4.4), with TURN credentials of their own each time."""
+        links = [_link(server.url, server.username, server.credential) for server in self.settings.ice_servers]
+        turn = self.settings.turn
+        if turn is not None:
+            username, credential = turn_credentials(turn.secret.get_secret_value(), turn.ttl_s)
+            links += [_link(url, username, credential) for url in turn.urls]
+        return links
+
+    def edge(self, stream: Stream) -> str | None:
+        """A WHEP endpoint elsewhere with the same stream: of a live output's, else of the settings `edges` and `playback`."""
+        return whep_edge(stream, self.settings)
 
     async def check_rest_source(self, source: str) -> str:
         """The source as a client of the API may name it. Raises SourceUrlError."""
@@ -58,8 +81,8 @@ class Service:
         return tuple(str(network) for network in allowed)
 
 
-def _link(server: IceServer) -> str:
-    link = f'<{server.url}>; rel="ice-server"'
-    if server.username:
-        link += f'; username="{server.username}"; credential="{server.credential}"; credential-type="password"'
+def _link(url: str, username: str, credential: str) -> str:
+    link = f'<{url}>; rel="ice-server"'
+    if username:
+        link += f'; username="{username}"; credential="{credential}"; credential-type="password"'
     return link

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
-import json
 import logging
 import time
 from collections.abc import Iterator
@@ -14,12 +12,13 @@ from typing import Any
 from server.delivery.fanout import EncodedFrame
 from server.delivery.tracks import AUDIO, Tracks, video_track
 from server.event_outbox import Event, EventOutbox
+from server.light_feed import LightFeed
 from server.live_scene import LiveScene
 from server.metrics import StreamMetrics
-from server.newest import Newest
 from server.outputs.stream_outputs import StreamOutputs
 from server.percentiles import Percentiles
 from server.renditions import CODECS, LADDER, Rendition
+from server.snapshots import Snapshots
 from server.source_url import is_file_source, masked
 from server.supervisor import Supervisor
 from server.worker.messages import Message
@@ -27,12 +26,6 @@ from server.worker.messages import Message
 logger = logging.getLogger(__name__)
 
 RTP_CLOCK_HZ = 90_000
-FRAME_WAIT_S = 2.0
-SNAPSHOT_WAIT_S = 3.0
-
-
-class SnapshotError(RuntimeError):
-    """There is no picture, the text says why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,23 +51,22 @@ class Stream:
         self.input: dict[str, Any] | None = None
         self.output: dict[str, Any] | None = None
         self.flags: list[str] = []
-        self.lights: dict[str, Any] | None = None
+        self.lights = LightFeed(self._send_demand)
         self.worker_stats: dict[str, Any] = {}
         self.latency_ms = Percentiles()
         self.live_scene = LiveScene(self._scene_changed)
-        self.tracks = Tracks(request_keyframe=self._request_keyframe, demand_changed=self._demand_changed)
+        self.tracks = Tracks(request_keyframe=self._request_keyframe, demand_changed=self._demand_changed,
+                             set_bitrate=self._set_bitrate)
         self._settings = settings
         self._metrics = metrics
-        self._light_subscribers: set[Newest[str]] = set()
         self._events: set[EventOutbox] = set()
-        self._snapshot: asyncio.Future[bytes] | None = None
-        self._snapshot_request = 0
         self._newest_timestamp = 0                  # in ticks of 1 / 90000 s since the stream began
         self._viewers_told = 0
         self._timestamp_at = 0.0
         self.outputs = StreamOutputs(self, limit=settings.max_outputs, recordings_dir=settings.recordings_dir,
                                      changed=lambda: self._publish(self._outputs_event()))
         self._supervisor = Supervisor(self)
+        self._snapshots = Snapshots(self._supervisor.send)
 
     # --- what others see -------------------------------------------------------------------------------------------
 
@@ -132,18 +124,6 @@ class Stream:
         self._supervisor.send({"type": "source", "source": source})
 
     @contextlib.contextmanager
-    def light_subscription(self) -> Iterator[Newest[str]]:
-        """A mailbox with the newest light message as JSON text. As long as it is held, frames are rendered."""
-        mailbox: Newest[str] = Newest()
-        self._light_subscribers.add(mailbox)
-        self._send_demand()
-        try:
-            yield mailbox
-        finally:
-            self._light_subscribers.discard(mailbox)
-            self._send_demand()
-
-    @contextlib.contextmanager
     def event_subscription(self) -> Iterator[EventOutbox]:
         """An outbox that begins with the whole present state."""
         outbox = EventOutbox(self._scene_event)
@@ -155,28 +135,11 @@ class Stream:
         finally:
             self._events.discard(outbox)
 
-    async def newest_lights(self) -> dict[str, Any] | None:
-        """The light message of a frame processed now, or the last one there was if none comes."""
-        with self.light_subscription() as mailbox, contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(FRAME_WAIT_S):
-                await mailbox.get()
-        return self.lights
-
     async def snapshot(self) -> bytes:
         """The newest composite as JPEG. Raises SnapshotError."""
-        if not self.tracks.wanted and not self._light_subscribers:
-            await self.newest_lights()      # nothing is being rendered: have one frame made for this
-        if self._snapshot is None:
-            self._snapshot = asyncio.get_running_loop().create_future()
-            self._snapshot_request += 1
-            self._supervisor.send({"type": "snapshot", "request": self._snapshot_request})
-        try:
-            async with asyncio.timeout(SNAPSHOT_WAIT_S):
-                return await asyncio.shield(self._snapshot)
-        except TimeoutError:
-            raise SnapshotError("the worker gave no picture in time") from None
-        finally:
-            self._snapshot = None
+        if not self.tracks.wanted and not len(self.lights):
+            await self.lights.of_a_frame_now()      # nothing is being rendered: have one frame made for this
+        return await self._snapshots.newest()
 
     # --- the worker's life, told by the supervisor -----------------------------------------------------------------
 
@@ -198,6 +161,8 @@ class Stream:
 
     def worker_started(self) -> None:
         self._send_demand()
+        for track, bps in self.tracks.squeezed().items():
+            self._set_bitrate(track, bps)
         self.tracks.encoders_replaced()
 
     def worker_ready(self) -> None:
@@ -207,9 +172,7 @@ class Stream:
     def worker_ended(self, reason: str, *, failed: bool) -> None:
         self._metrics.worker_ended()
         self.worker_stats = {}
-        if self._snapshot is not None and not self._snapshot.done():
-            self._snapshot.set_exception(SnapshotError(reason))
-            self._snapshot.exception()      # retrieved here, in case nobody waits any more
+        self._snapshots.fail(reason)
         if failed:
             self._set_state("failed", reason)
         elif self.source is not None:
@@ -223,7 +186,7 @@ class Stream:
             case "packet":
                 self._receive_packet(message, payload)
             case "lights":
-                self._receive_lights(message["message"])
+                self.lights.take(message["message"])
             case "stats":
                 self.worker_stats = {key: value for key, value in message.items() if key != "type"}
                 self._metrics.worker_stats(self.worker_stats)
@@ -233,7 +196,7 @@ class Stream:
                 self._note_bitrates()
                 self._set_state(str(message["source"]), message["detail"])
             case "snapshot":
-                self._receive_snapshot(message, payload)
+                self._snapshots.take(message, payload)
             case unknown:
                 raise ValueError(f"message type is {unknown!r}, expected one of ARCHITECTURE.md")
 
@@ -251,30 +214,16 @@ class Stream:
             for codec in CODECS:
                 self.tracks.nominal_bps[video_track(rung["name"], codec)] = float(rung["bitrate_bps"])
 
-    def _receive_lights(self, lights: dict[str, Any]) -> None:
-        self.lights = dict(lights)
-        if self._light_subscribers:
-            text = json.dumps(lights, allow_nan=False, separators=(",", ":"))
-            for mailbox in self._light_subscribers:
-                mailbox.put(text)
-
-    def _receive_snapshot(self, message: Message, payload: bytes) -> None:
-        waiting = self._snapshot
-        if waiting is None or waiting.done() or message["request"] != self._snapshot_request:
-            return
-        if message["error"] is None:
-            waiting.set_result(payload)
-        else:
-            waiting.set_exception(SnapshotError(str(message["error"])))
-            waiting.exception()
-
     # --- to the worker ---------------------------------------------------------------------------------------------
 
     def _send_demand(self) -> None:
-        self._supervisor.send({"type": "demand", "tracks": self.tracks.wanted, "lights": len(self._light_subscribers)})
+        self._supervisor.send({"type": "demand", "tracks": self.tracks.wanted, "lights": len(self.lights)})
 
     def _request_keyframe(self, track: str) -> None:
         self._supervisor.send({"type": "keyframe", "track": track}, slot=f"keyframe {track}")
+
+    def _set_bitrate(self, track: str, bps: int | None) -> None:
+        self._supervisor.send({"type": "bitrate", "track": track, "bps": bps}, slot=f"bitrate {track}")
 
     # --- changes ---------------------------------------------------------------------------------------------------
 

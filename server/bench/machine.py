@@ -24,6 +24,12 @@ def machine_record(context: Context) -> dict[str, Any]:
             "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}}
 
 
+def machine_figures() -> dict[str, Any]:
+    """Of the processors alone, for benchmarks that open no OpenGL themselves."""
+    return {"processors": os.cpu_count() or 1, "model": f"{_cpu_model()}, {platform.machine()}",
+            "load_average": os.getloadavg()[0], "lp_num_threads": os.environ.get("LP_NUM_THREADS")}
+
+
 def _cpu_model() -> str:
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()

@@ -10,9 +10,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import platform
-import re
 import sys
 import tempfile
 import threading
@@ -22,6 +19,7 @@ from pathlib import Path
 
 from renderer.gl import GLUnavailableError
 from renderer.models.gltf import load
+from server.bench.machine import machine_figures
 from server.bench.service_options import BAD_INPUT, CLIPS, bench_options
 from server.bench.service_processes import ProcessGoneError
 from server.bench.service_run import Period, Report, Show, measure_service, measure_transcode
@@ -75,7 +73,7 @@ class _Bench:
         model, self._knot_triangles = knot_glb(options.mesh_triangles)
         self._models = {KNOT: model}
         self._teapot_triangles = load(Path(str(resources.files("renderer.models.builtin") / "teapot.glb"))).triangle_count
-        self.report: Report = {"machine": _machine(), "fps": options.fps}
+        self.report: Report = {"machine": machine_figures(), "fps": options.fps}
 
     def run(self) -> None:
         """Write the JSON file after every table, so that an interrupted run leaves what it has."""
@@ -154,20 +152,6 @@ class _Bench:
 
 def _scaling_size(options: argparse.Namespace) -> str:
     return str(options.sizes[0]) if len(options.sizes) == 1 else SCALING_SIZE
-
-
-def _machine() -> Report:
-    return {"processors": os.cpu_count() or 1, "model": _processor(), "load_average": os.getloadavg()[0],
-            "lp_num_threads": os.environ.get("LP_NUM_THREADS")}
-
-
-def _processor() -> str:
-    """The processor's name where the kernel tells, and its architecture."""
-    try:
-        found = re.search(r"^model name\s*:\s*(.+)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
-    except OSError:
-        found = None
-    return f"{found[1]}, {platform.machine()}" if found else platform.machine()
 
 
 def _print(lines: Iterator[str]) -> None:

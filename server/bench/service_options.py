@@ -23,17 +23,22 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         self.exit(BAD_INPUT, f"{self.prog}: {message}\n")
 
+    def check_json(self, file: Path | None) -> None:
+        """End the process when the file of `--json` lies in no folder."""
+        if file is not None and not file.absolute().parent.is_dir():
+            self.error(f"argument --json: {str(file)!r} given, expected a file in a folder that exists")
+
 
 def bench_options(arguments: list[str] | None) -> argparse.Namespace:
     """Ends the process with status 2 for what cannot be used."""
     parser = Parser(prog="bench-service", allow_abbrev=False, description="what the whole service costs beside a plain transcode")
     parser.add_argument("--quick", action="store_true", help="about a minute: one size, one clip, short, no scaling")
-    parser.add_argument("--sizes", type=_sizes, help=f"default {','.join(SIZES)}")
+    parser.add_argument("--sizes", type=sizes, help=f"default {','.join(SIZES)}")
     parser.add_argument("--clips", type=_some_of(tuple(CLIPS)), help="default still,sun: the sun stands, or goes round in 30 s")
     parser.add_argument("--only", type=_some_of(TABLES), help=f"tables, default {','.join(TABLES)}")
-    parser.add_argument("--viewers", type=_counts, help=f"in the table of viewers, default {','.join(map(str, VIEWERS))}")
-    parser.add_argument("--seconds", type=_seconds, help="measured of each run, default 20")
-    parser.add_argument("--warm-up", type=_seconds, help="seconds before that, default 10")
+    parser.add_argument("--viewers", type=counts, help=f"in the table of viewers, default {','.join(map(str, VIEWERS))}")
+    parser.add_argument("--seconds", type=seconds, help="measured of each run, default 20")
+    parser.add_argument("--warm-up", type=seconds, help="seconds before that, default 10")
     parser.add_argument("--fps", type=int, default=30, help="of the camera, default 30")
     parser.add_argument("--mesh-triangles", type=int, default=KNOT_TRIANGLES, help=f"of the mesh, default {KNOT_TRIANGLES}")
     parser.add_argument("--json", type=Path, metavar="FILE", help="where to write the figures")
@@ -43,17 +48,25 @@ def bench_options(arguments: list[str] | None) -> argparse.Namespace:
     for name, default in (quick if options.quick else whole).items():
         if getattr(options, name) is None:
             setattr(options, name, default)
-    if options.json is not None and not options.json.absolute().parent.is_dir():
-        parser.error(f"argument --json: {str(options.json)!r} given, expected a file in a folder that exists")
+    parser.check_json(options.json)
     return options
 
 
-def _sizes(text: str) -> tuple[str, ...]:
+def sizes(text: str) -> tuple[str, ...]:
+    """An argument: WIDTHxHEIGHT, several by commas."""
     for size in text.split(","):
         width, _, height = size.partition("x")
         if not (width + height).isdigit() or len(width) > 4 or int(width) % 4 or not 256 <= int(width) == 2 * int(height) <= 8192:
             raise argparse.ArgumentTypeError(f"{size!r} given, expected WIDTHxHEIGHT, twice as wide as high, 256x128 to 8192x4096")
     return tuple(dict.fromkeys(text.split(",")))
+
+
+def one_size(text: str) -> str:
+    """An argument: WIDTHxHEIGHT."""
+    found = sizes(text)
+    if len(found) != 1:
+        raise argparse.ArgumentTypeError(f"{text!r} given, expected one size")
+    return found[0]
 
 
 def _some_of(known: tuple[str, ...]) -> Callable[[str], tuple[str, ...]]:
@@ -65,14 +78,16 @@ def _some_of(known: tuple[str, ...]) -> Callable[[str], tuple[str, ...]]:
     return chosen
 
 
-def _counts(text: str) -> tuple[int, ...]:
+def counts(text: str) -> tuple[int, ...]:
+    """An argument: numbers of viewers."""
     for count in text.split(","):
         if not count.isascii() or not count.isdigit() or not 1 <= int(count[:9]) <= MAX_VIEWERS:
             raise argparse.ArgumentTypeError(f"{count!r} given, expected whole numbers from 1 to {MAX_VIEWERS}")
     return tuple(dict.fromkeys(map(int, text.split(","))))
 
 
-def _seconds(text: str) -> float:
+def seconds(text: str) -> float:
+    """An argument: a time."""
     try:
         value = float(text)
     except ValueError:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ READY_WITHIN_S = 90.0
 LONGEST_SILENCE_S = 2.0     # of a child at the end of a period, beyond which its figures do not stand for the period
 WORKER_MODULE = "server.worker"
 DECODING_THREAD = "ingest"
-COUNTED = ("time", "slowest", "bytes")      # by `service_viewers`
+COUNTED = ("time", "slowest", "bytes")      # by `viewers_process`
 Report = dict[str, Any]
 
 
@@ -55,19 +55,28 @@ class Served:
         return child_of(self.service.pid, WORKER_MODULE)
 
 
-def start_service(children: Children, watch: Watch, folder: Path, show: Show, max_viewers: int) -> Served:
-    """Service, models, scene and camera, as a user would. Logs and assets lie in `folder`. Raises DemoError and ChildError."""
+def start_service(children: Children, watch: Watch, folder: Path, show: Show, max_viewers: int,
+                  environment: Mapping[str, str] | None = None, camera: Callable[[str], Child] | None = None) -> Served:
+    """Service, models, scene and camera, as a user would. Logs and assets lie in `folder`; `environment` has more settings.
+
+    `camera` starts one that publishes to the URL it is given, in place of the clip. Raises DemoError and ChildError.
+    """
     port, camera_url = free_port(), f"rtmp://{HOST}:{free_port()}/live/camera"
     base, assets = f"http://{HOST}:{port}", tempfile.mkdtemp(prefix="assets-", dir=folder)
     service = children.start("service", "server.cli", "serve", "--host", HOST, "--port", str(port),
                              "--source", camera_url.replace("rtmp:", "rtmp-listen:"), log=folder / "service.log",
-                             environment={"MR360_ASSETS_DIR": assets, "MR360_MAX_VIEWERS": str(max_viewers)})
+                             environment={"MR360_ASSETS_DIR": assets, "MR360_MAX_VIEWERS": str(max_viewers),
+                                         **(environment or {})})
     watch.until("ready service", lambda: is_ready(base), READY_WITHIN_S)
     found = {name: upload(base, name, model)["triangles"] for name, model in show.models.items()}
     request("PUT", f"{base}/api/streams/live/scene", show.scene)
-    publisher = children.start("camera", "server.cli", "publish", show.clip, camera_url, "--loop", log=folder / "camera.log")
+    publisher = camera(camera_url) if camera else _clip_camera(children, show.clip, camera_url, folder)
     watch.until("picture from the camera", lambda: stream(base)["state"] == "live", READY_WITHIN_S)
     return Served(base, service, publisher, found)
+
+
+def _clip_camera(children: Children, clip: Path, url: str, folder: Path) -> Child:
+    return children.start("camera", "server.cli", "publish", clip, url, "--loop", log=folder / "camera.log")
 
 
 def measure_service(folder: Path, stop: threading.Event, show: Show, period: Period, receivers: int | None = None) -> Report:
@@ -80,19 +89,24 @@ def measure_service(folder: Path, stop: threading.Event, show: Show, period: Per
         served = start_service(children, watch, folder, show, receivers or 1)
         url, log = f"{served.base}/whep/live", folder / "viewer.log"
         viewer = (children.start("viewer", "server.demo.viewer", url, piped=True, log=log) if receivers is None else
-                  children.start("viewers", "server.bench.service_viewers", url, str(receivers), piped=True, log=log))
+                  children.start("viewers", "server.bench.viewers_process", url, str(receivers), piped=True, log=log))
         seen = NewestLine(viewer)
         watch.until("picture in every viewer", lambda: seen.value.get("keyframes", 0) > 0, READY_WITHIN_S)
         watch.pause(period.warm_up_s)
-        worker = served.worker()
-        children_by_name = {"server": served.service, "publisher": served.publisher, "viewer": viewer}
-        threads, others = ThreadClock(worker), OtherWork([worker, *(child.pid for child in children_by_name.values())])
-        samples = sampled(watch, served.base, period.seconds, seen, children_by_name)
-        threads_now, others_now = threads.cores(), others.cores()
-        report = _service_report(samples, stream(served.base)["worker"]["renderer"], threads_now)
-        peaks = {"worker": memory_of(worker).peak_mb, "server": memory_of(served.service.pid).peak_mb}
-    return {**report, "viewers": receivers or 1, "triangles": served.triangles, "peak_mb": _rounded(peaks, 1),
-            "other_cores": round(others_now, 3)}
+        return {**measure_watched(watch, served, viewer, seen, period.seconds), "viewers": receivers or 1,
+                "triangles": served.triangles}
+
+
+def measure_watched(watch: Watch, served: Served, viewer: Child, seen: NewestLine, seconds: float) -> Report:
+    """A service that is being watched by `viewer`, whose lines `seen` reads, for so long from now on."""
+    worker = served.worker()
+    children_by_name = {"server": served.service, "publisher": served.publisher, "viewer": viewer}
+    threads, others = ThreadClock(worker), OtherWork([worker, *(child.pid for child in children_by_name.values())])
+    samples = sampled(watch, served.base, seconds, seen, children_by_name)
+    threads_now, others_now = threads.cores(), others.cores()
+    report = _service_report(samples, stream(served.base)["worker"]["renderer"], threads_now)
+    peaks = {"worker": memory_of(worker).peak_mb, "server": memory_of(served.service.pid).peak_mb}
+    return {**report, "peak_mb": _rounded(peaks, 1), "other_cores": round(others_now, 3)}
 
 
 def _service_report(samples: list[Sample], renderer: str | None, threads: Mapping[str, float]) -> Report:
@@ -124,7 +138,7 @@ def measure_transcode(folder: Path, stop: threading.Event, clip: Path, period: P
                                    piped=True, log=folder / "transcode.log")
         seen = NewestLine(transcode)
         watch.until("transcode", lambda: bool(seen.value), READY_WITHIN_S)
-        publisher = children.start("camera", "server.cli", "publish", clip, camera_url, "--loop", log=folder / "camera.log")
+        publisher = _clip_camera(children, clip, camera_url, folder)
         watch.until("transcoded frame", lambda: seen.value["frames_encoded"] > 0, READY_WITHIN_S)
         watch.pause(period.warm_up_s)
         threads, others, first = ThreadClock(transcode.pid), OtherWork([transcode.pid, publisher.pid]), seen.value

@@ -39,6 +39,7 @@ class Adaptation:
         """`best` and `lowest`: the renditions it may choose among."""
         self.rendition = best
         self.steps_down = self.steps_up = 0
+        self.starved_bps: float | None = None       # what came through of the lowest rendition, if the last report says too little
         self._best, self._lowest = best, lowest
         self._wait_s = FIRST_WAIT_S
         self._clean_since = now
@@ -55,7 +56,7 @@ class Adaptation:
             estimate: the newest REMB, if any.
             rates: bits per second of each rendition, measured or nominal.
         """
-        now = report.at
+        now, self.starved_bps = report.at, None
         if report.after_silence:        # an outage, not a narrow network: what was lost in it tells nothing
             self._forget(now)
         elif self._in_trouble(report, estimate, rates):
@@ -86,11 +87,12 @@ class Adaptation:
         if self._stepped_up_at is not None:
             self._wait_s = min(2 * self._wait_s, LONGEST_WAIT_S)
             self._stepped_up_at = None
-        if self.rendition >= self._lowest:
-            return
         carried = (1 - report.fraction_lost) * rates[self.rendition]
         if estimate is not None and now - estimate.at <= FRESH_S:
             carried = min(carried, estimate.bps)
+        if self.rendition >= self._lowest:
+            self.starved_bps = carried
+            return
         self.rendition += 1
         while self.rendition < self._lowest and rates[self.rendition] > USABLE * carried:
             self.rendition += 1

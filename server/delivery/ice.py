@@ -20,7 +20,7 @@ from aioice import stun, turn
 from aioice.candidate import Candidate, candidate_foundation, candidate_priority
 from aioice.ice import CandidatePair, Connection, StunProtocol, validate_password, validate_username
 from aioice.utils import random_string
-from aiortc import RTCPeerConnection, rtcicetransport
+from aiortc import RTCIceCandidate, RTCPeerConnection, rtcicetransport
 
 from server.delivery.media_addresses import MediaAddresses
 
@@ -30,6 +30,7 @@ CHECK_S = 5.0                   # and the pause between checks, to be spread by 
 CHECK_SPACING_S = 0.02          # between first checks of pairs: Ta of RFC 8445 section 14
 RESTART_LIMIT_S = 30.0
 EARLIER_GENERATIONS = 4
+MAX_REMOTE_CANDIDATES = 100     # of one generation: RFC 8445 section 6.1.2.5
 OPEN_CHECKS = 8                 # for consent: as many as are sent while it lasts
 
 
@@ -84,6 +85,22 @@ def restart(peer: RTCPeerConnection, username: str, password: str) -> None:
     transport.iceGatherer._remote_candidates_end = False
 
 
+@dataclass(frozen=True, slots=True)
+class OurSide:
+    """What a viewer has to know of us to connect."""
+
+    username: str
+    password: str
+    candidates: tuple[RTCIceCandidate, ...]
+
+
+def description(peer: RTCPeerConnection) -> OurSide:
+    """Our side of the present generation of ICE."""
+    gatherer = _transport(peer).iceGatherer
+    ours = connection(peer).credentials
+    return OurSide(ours.local_username, ours.local_password, tuple(gatherer.getLocalCandidates()))
+
+
 def connection(peer: RTCPeerConnection) -> IceConnection:
     """The ICE agent of a peer whose media is bundled."""
     found = _transport(peer)._connection
@@ -127,6 +144,10 @@ class IceConnection(Connection):
             for address in self._addresses.shown(host):
                 told[address, port] = _host_candidate(component, address, port)
         return list(told.values())
+
+    def _add_remote_candidate(self, remote_candidate: Candidate, network_host: str) -> None:
+        if len(self._remote_candidates) < MAX_REMOTE_CANDIDATES:     # each one makes us send checks to wherever it says
+            super()._add_remote_candidate(remote_candidate, network_host)
 
     # --- restart -----------------------------------------------------------------------------------------------------
 

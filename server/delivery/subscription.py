@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from server.delivery.adaptation import Adaptation, Estimate
-from server.delivery.fanout import EncodedFrame, Taker
+from server.delivery.fanout import EncodedFrame, FanOut, Taker
 from server.delivery.reception import Reception, Report
+from server.delivery.stream_clock import StreamClock
 from server.delivery.tracks import AUDIO, Tracks, video_track
 
 
@@ -114,6 +115,7 @@ class PictureFeed:
             self.request_keyframe()     # whatever the viewer has is broken
         rates = self._tracks.rates([self._track(number) for number in range(len(self._names))])
         after = self.adaptation.take(report, estimate, rates)
+        self._adapt_lowest(report)
         if after == before or self._taker is None:
             return
         if self._next is not None:
@@ -121,6 +123,16 @@ class PictureFeed:
             self._next = None
         if after != self._rendition:
             self._next = self._join(after)
+
+    def _adapt_lowest(self, report: Report) -> None:
+        lowest = len(self._names) - 1
+        if self._rendition != lowest:
+            return
+        squeeze, nominal = self._tracks.squeeze(self._track(lowest)), self._tracks.nominal_bps.get(self._track(lowest), 0.0)
+        if self.adaptation.starved_bps is not None:
+            squeeze.trouble(report.at, self.adaptation.starved_bps, nominal)
+        else:
+            squeeze.quiet(report.at, nominal)
 
     def _join(self, rendition: int) -> Taker:
         return self._tracks.fanout(self._track(rendition)).join(self._filled)
@@ -145,15 +157,15 @@ class PictureFeed:
             self._tracks.viewer_left(self)
 
 
-class SoundFeed:
-    """The stream's sound, for as long as there is any."""
+class TrackFeed:
+    """One track, whatever the network does: the sound, or what goes to a media server."""
 
-    codec = "opus"
-
-    def __init__(self, tracks: Tracks) -> None:
-        self.clock = tracks.clock
+    def __init__(self, fanout: FanOut, codec: str, clock: StreamClock) -> None:
+        self.codec = codec
+        self.clock = clock
         self.reception = Reception()
-        self._fanout = tracks.fanout(AUDIO)
+        self.request_keyframe = fanout.request_keyframe
+        self._fanout = fanout
         self._taker: Taker | None = None
 
     async def next_frame(self) -> EncodedFrame:
@@ -161,9 +173,11 @@ class SoundFeed:
             self._taker = self._fanout.join()
         return await self._taker.next_frame()
 
-    def request_keyframe(self) -> None:
-        """Every packet of sound can be understood without the others."""
-
     def close(self) -> None:
         if self._taker is not None:
             self._fanout.leave(self._taker)
+
+
+def sound_feed(tracks: Tracks) -> TrackFeed:
+    """The stream's sound, for as long as there is any."""
+    return TrackFeed(tracks.fanout(AUDIO), "opus", tracks.clock)

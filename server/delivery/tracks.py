@@ -9,6 +9,7 @@ from functools import partial
 from typing import Protocol
 
 from server.delivery.fanout import EncodedFrame, FanOut
+from server.delivery.squeeze import Squeeze
 from server.delivery.stream_clock import StreamClock
 
 AUDIO = "audio/opus"
@@ -31,10 +32,13 @@ class Tracks:
     """Owner of a stream's fan-outs. `demand_changed` is called when a track gets its first taker or loses its last one,
     and when the number of viewers changes."""
 
-    def __init__(self, *, request_keyframe: Callable[[str], None], demand_changed: Callable[[], None]) -> None:
+    def __init__(self, *, request_keyframe: Callable[[str], None], demand_changed: Callable[[], None],
+                 set_bitrate: Callable[[str, int | None], None] = lambda track, bps: None) -> None:
         self._request_keyframe = request_keyframe
         self._demand_changed = demand_changed
+        self._set_bitrate = set_bitrate
         self._fanouts: dict[str, FanOut] = {}
+        self._squeezes: dict[str, Squeeze] = {}
         self._viewers: set[Viewer] = set()
         self._counted: Counter[str] = Counter()     # of viewers that have left
         self.clock = StreamClock()
@@ -45,6 +49,16 @@ class Tracks:
             self._fanouts[track] = FanOut(request_keyframe=partial(self._keyframe, track), takers_changed=self._demand_changed,
                                           keyframes=track != AUDIO)
         return self._fanouts[track]
+
+    def squeeze(self, track: str) -> Squeeze:
+        """What bends the bitrate of the track, which is of the smallest rendition."""
+        if track not in self._squeezes:
+            self._squeezes[track] = Squeeze(partial(self._set_bitrate, track))
+        return self._squeezes[track]
+
+    def squeezed(self) -> dict[str, int]:
+        """Tracks whose bitrate is not the nominal one now."""
+        return {track: squeeze.bps for track, squeeze in self._squeezes.items() if squeeze.bps is not None}
 
     @property
     def wanted(self) -> list[str]:

@@ -17,19 +17,20 @@ from typing import Any
 
 from aiortc import (
     RTCConfiguration,
+    RTCIceCandidate,
     RTCPeerConnection,
-    RTCRtpCodecCapability,
-    RTCRtpSender,
     RTCRtpTransceiver,
     RTCSessionDescription,
 )
 from aiortc.exceptions import InvalidAccessError, InvalidStateError, OperationError
 
 from server.delivery import aiortc_hooks, ice
+from server.delivery.codecs import opus, with_retransmission
 from server.delivery.feed import FeedTrack
+from server.delivery.ice_fragment import Fragment, fragment_text
 from server.delivery.media_addresses import MediaAddresses
-from server.delivery.sdp_offer import CodecError, OfferError, TrickleFragment, parse_offer
-from server.delivery.subscription import Choice, PictureFeed, SoundFeed
+from server.delivery.sdp_offer import CodecError, OfferError, parse_offer
+from server.delivery.subscription import Choice, PictureFeed, TrackFeed, sound_feed
 from server.stream import Stream
 
 logger = logging.getLogger(__name__)
@@ -57,16 +58,18 @@ class WhepSession:
     def __init__(self, stream: Stream, choice: Choice, closed: Callable[[WhepSession], None]) -> None:
         self.id = secrets.token_urlsafe(24)     # the session URL is what entitles to change or end the session
         self.number = next(_numbers)            # for people: the id is a secret
-        self.etag = f'"{secrets.token_hex(8)}"'
+        self.etag = _new_tag()
         self.stream = stream
         # An empty list, not None: None means Google's STUN server and a pause of 5 s where that cannot be reached.
         self._connection = RTCPeerConnection(RTCConfiguration(iceServers=[]))
         self._choice = choice
-        self._feeds: list[PictureFeed | SoundFeed] = []
+        self._feeds: list[PictureFeed | TrackFeed] = []
         self.picture: PictureFeed | None = None     # from `negotiate` on
         self._closed = closed
         self._closing: asyncio.Task[None] | None = None
-        self._adding_late: asyncio.Task[None] | None = None
+        self._username = ""                         # the viewer's, of the present generation of ICE
+        self._head = ("video", "")                  # the section whose transport carries all media
+        self._adding_late: set[asyncio.Task[None]] = set()
         self._started_at = time.monotonic()
         self._timer = asyncio.get_running_loop().call_later(CONNECT_LIMIT_S, self._not_connected)
 
@@ -91,9 +94,9 @@ class WhepSession:
         self.picture = PictureFeed(stream.tracks, stream.rendition_names, parsed.codec, self._choice, stream.delivered)
         video = self._send("video", self.picture)
         # Before the offer is set: aiortc chooses codecs there, else the offerer's first one, which is VP8 in browsers.
-        video.setCodecPreferences(_with_retransmission(parsed.codec))
+        video.setCodecPreferences(with_retransmission(parsed.codec))
         if parsed.sound:
-            self._send("audio", SoundFeed(self.stream.tracks)).setCodecPreferences(_opus())
+            self._send("audio", sound_feed(self.stream.tracks)).setCodecPreferences(opus())
         self._connection.on("connectionstatechange", self._state_changed)
         try:
             async with asyncio.timeout(NEGOTIATE_LIMIT_S):
@@ -105,30 +108,63 @@ class WhepSession:
             raise OfferError(f"the offer could not be answered in {NEGOTIATE_LIMIT_S:g} s") from None
         except (InvalidAccessError, InvalidStateError, ValueError, KeyError, AttributeError) as error:
             raise OfferError(f"the offer cannot be answered: {error}") from None
-        if parsed.late.candidates:
-            self._adding_late = asyncio.create_task(self._add_late(parsed.late))
-        return str(self._connection.localDescription.sdp)
+        self._username, self._head = parsed.username, parsed.head
+        self._add_late(parsed.late)
+        return parsed.complete(self._connection.localDescription.sdp)
 
-    def _send(self, kind: str, feed: PictureFeed | SoundFeed) -> RTCRtpTransceiver:
+    def _send(self, kind: str, feed: PictureFeed | TrackFeed) -> RTCRtpTransceiver:
         self._feeds.append(feed)
         return self._connection.addTransceiver(FeedTrack(kind, feed), direction="sendonly")
 
-    async def add_candidates(self, fragment: TrickleFragment) -> None:
+    def is_present_generation(self, fragment: Fragment) -> bool:
+        """Whether the fragment belongs to the ICE credentials in use; one that names none does."""
+        return fragment.username in (None, self._username)
+
+    async def add_candidates(self, fragment: Fragment) -> None:
         """Take more of the viewer's ICE candidates. Raises OfferError."""
         with contextlib.suppress(InvalidStateError):    # closed meanwhile
+            hidden = [candidate for candidate in fragment.candidates if candidate.ip.endswith(".local")]
             try:
                 for candidate in fragment.candidates:
-                    await self._connection.addIceCandidate(candidate)
+                    if candidate not in hidden:
+                        await self._connection.addIceCandidate(candidate)
             except ValueError as error:
                 raise OfferError(f"a candidate cannot be used: {error}") from None
-            if fragment.complete:
+            if fragment.complete and not hidden:
                 await self._connection.addIceCandidate(None)
+            self._add_late(hidden)
 
-    async def _add_late(self, fragment: TrickleFragment) -> None:
+    def _add_late(self, candidates: Sequence[RTCIceCandidate]) -> None:
+        """Candidates whose name is yet to be looked up, for which nobody waits."""
+        for candidate in candidates:
+            task = asyncio.create_task(self._connection.addIceCandidate(candidate))
+            self._adding_late.add(task)
+            task.add_done_callback(self._added)
+
+    def _added(self, task: asyncio.Task[None]) -> None:
+        self._adding_late.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            logger.info("%s: a viewer's candidate cannot be used: %s", self.stream.name, error)
+
+    async def restart_ice(self, fragment: Fragment) -> str:
+        """Begin a new generation of ICE: media goes on over the old path until a new one is found.
+
+        Returns:
+            The fragment with our new credentials and candidates; `etag` is a new one.
+
+        Raises:
+            OfferError: nothing has changed then.
+        """
+        if fragment.username is None or fragment.password is None:
+            raise OfferError("the fragment has no a=ice-ufrag and a=ice-pwd, expected both for an ICE restart")
         try:
-            await self.add_candidates(fragment)
-        except OfferError as error:
-            logger.info("%s: %s", self.stream.name, error)
+            ice.restart(self._connection, fragment.username, fragment.password)
+        except (ValueError, ConnectionError) as error:
+            raise OfferError(f"ICE cannot be restarted: {str(error).lower()}") from None
+        self._username, self.etag = fragment.username, _new_tag()
+        await self.add_candidates(fragment)
+        ours = ice.description(self._connection)
+        return fragment_text(*self._head, ours.username, ours.password, ours.candidates)
 
     async def close(self, reason: str) -> None:
         """End the session. Later callers wait for the first one."""
@@ -138,8 +174,8 @@ class WhepSession:
 
     async def _close(self, reason: str) -> None:
         self._timer.cancel()
-        if self._adding_late is not None:
-            self._adding_late.cancel()
+        for adding in self._adding_late:
+            adding.cancel()
         for feed in self._feeds:
             feed.close()
         try:
@@ -224,6 +260,10 @@ class WhepSessions:
         self._sessions.pop(session.id, None)
 
 
+def _new_tag() -> str:
+    return f'"{secrets.token_hex(8)}"'
+
+
 def _choice(names: Sequence[str], rendition: str | None, at_most: str | None) -> Choice:
     for name in (rendition, at_most):
         if name is not None and name not in names:
@@ -231,15 +271,3 @@ def _choice(names: Sequence[str], rendition: str | None, at_most: str | None) ->
     if rendition is not None:
         return Choice(names.index(rendition), names.index(rendition))
     return Choice(names.index(at_most) if at_most is not None else 0, len(names) - 1)
-
-
-def _with_retransmission(codec: str) -> list[RTCRtpCodecCapability]:
-    """The codec's variants, H.264 constrained baseline first (what we encode), then RTX."""
-    known = RTCRtpSender.getCapabilities("video").codecs
-    chosen = [item for item in known if item.mimeType.lower() == f"video/{codec}"]
-    chosen.sort(key=lambda item: item.parameters.get("profile-level-id") != "42e01f")
-    return chosen + [item for item in known if item.mimeType == "video/rtx"]
-
-
-def _opus() -> list[RTCRtpCodecCapability]:
-    return [item for item in RTCRtpSender.getCapabilities("audio").codecs if item.mimeType == "audio/opus"]

@@ -29,6 +29,7 @@ SUN_START_RAD = math.radians(120.0)     # right and behind; crosses the seam (be
 SUN_RADIUS_RAD = math.radians(2.0)
 GLOW_RAD = math.radians(9.0)
 NOISE_CODES = 0.7                       # standard deviation of the sensor noise in luma
+DIM_NOISE_CODES = 2.1                   # of a sensor in dim light, which fills any bitrate
 
 Planes = tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]
 Columns = slice | NDArray[np.intp]      # indices where they run across the seam
@@ -49,7 +50,7 @@ def sun_direction(pts_seconds: float) -> tuple[float, float, float]:
 class Camera:
     """Renders frames of width × width / 2 pixels. Raises ValueError if width is no multiple of 4 in 256..8192."""
 
-    def __init__(self, width: int) -> None:
+    def __init__(self, width: int, noise_codes: float = NOISE_CODES) -> None:
         if width % 4 or not 256 <= width <= 8192:
             raise ValueError(f"width is {width}, expected a multiple of 4 from 256 to 8192")
         self.width, self.height = width, width // 2
@@ -62,7 +63,7 @@ class Camera:
         self._band = self._angles_window(-math.pi, math.pi, 0.0, HORIZON_BAND_RAD)
         self._still = self._converted(slice(0, self.height), slice(0, width))
         rng = np.random.default_rng(5)
-        noise = rng.normal(0, NOISE_CODES, (self.height + 64, width + 64)).round()
+        noise = rng.normal(0, noise_codes, (self.height + 64, width + 64)).round()
         self._noise = noise.astype(np.int8)
 
     def frame(self, pts_seconds: float, sun_seconds: float | None = None) -> Planes:

@@ -56,12 +56,16 @@ class Viewer:
     def state(self) -> str:
         return str(self._peer.connectionState)
 
+    @property
+    def peer(self) -> RTCPeerConnection:
+        return self._peer
+
     async def start(self) -> None:
         """Make the session. Raises ViewerError."""
         transceiver = self._peer.addTransceiver("video", direction="recvonly")
         known = RTCRtpReceiver.getCapabilities("video")
         codecs = known.codecs if known else []
-        transceiver.setCodecPreferences([codec for codec in codecs if codec.mimeType == "video/H264"])
+        transceiver.setCodecPreferences([codec for codec in codecs if codec.mimeType in ("video/H264", "video/rtx")])
         self._peer.on("track", self._on_track)
         await self._peer.setLocalDescription(await self._peer.createOffer())
         answer, location = await asyncio.to_thread(_post_offer, self._url, self._peer.localDescription.sdp)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from aiortc import RTCPeerConnection, RTCRtpCodecCapability, RTCRtpSender
+from aiortc import RTCPeerConnection
 
+from server.delivery.codecs import opus, with_retransmission
 from server.delivery.fanout import EncodedFrame, Taker
 from server.delivery.feed import FeedTrack
 from server.delivery.reception import Reception, Report
@@ -43,20 +44,14 @@ def add_feeds(connection: RTCPeerConnection, request_keyframe: Callable[[], None
     feeds = {"picture": PushedFeed("h264", clock, request_keyframe)}
     feeds["picture"].reception.heard = lambda report: _after_silence(report, request_keyframe)
     video = connection.addTransceiver(FeedTrack("video", feeds["picture"]), direction="sendonly")
-    video.setCodecPreferences(_h264_with_retransmission())
+    video.setCodecPreferences(with_retransmission("h264"))
     if sound:
         feeds["sound"] = PushedFeed("opus", clock, lambda: None)
-        connection.addTransceiver(FeedTrack("audio", feeds["sound"]), direction="sendonly")
+        audio = connection.addTransceiver(FeedTrack("audio", feeds["sound"]), direction="sendonly")
+        audio.setCodecPreferences(opus())
     return feeds
 
 
 def _after_silence(report: Report, request_keyframe: Callable[[], None]) -> None:
     if report.after_silence:
         request_keyframe()      # whatever the other side has is broken
-
-
-def _h264_with_retransmission() -> list[RTCRtpCodecCapability]:
-    codecs = RTCRtpSender.getCapabilities("video").codecs
-    h264 = [codec for codec in codecs if codec.mimeType == "video/H264"]
-    h264.sort(key=lambda codec: codec.parameters.get("profile-level-id") != "42e01f")
-    return h264 + [codec for codec in codecs if codec.mimeType == "video/rtx"]

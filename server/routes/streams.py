@@ -8,12 +8,14 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Response
 from pydantic import BaseModel, ConfigDict, Field
 
+from server.auth import Right
+from server.routes.access import AccessDep
 from server.routes.dependencies import ServiceDep, StreamDep
 from server.routes.problems import Problem, shown
 from server.routes.strict_json import StrictJsonRoute
 from server.service import Service
+from server.snapshots import SnapshotError
 from server.source_url import SourceUrlError
-from server.stream import SnapshotError
 from server.streams import LIVE, DuplicateStreamError, TooManyStreamsError
 
 router = APIRouter(prefix="/api/streams", tags=["streams"], route_class=StrictJsonRoute)
@@ -35,9 +37,9 @@ class StreamPatch(BaseModel):
 
 
 @router.get("")
-async def list_streams(service: ServiceDep) -> list[dict[str, Any]]:
-    """All streams."""
-    return [stream.description() for stream in service.streams]
+async def list_streams(service: ServiceDep, access: AccessDep) -> list[dict[str, Any]]:
+    """All streams that the client may view."""
+    return [stream.description() for stream in service.streams if access.has(Right.VIEW, stream.name)]
 
 
 @router.post("", status_code=201)

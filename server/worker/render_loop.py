@@ -12,26 +12,24 @@ from queue import Empty, SimpleQueue
 from renderer.frame import YuvFrame
 from renderer.gl import Context
 from renderer.light.reading import FrameLight
-from renderer.pipeline import Pipeline
 from renderer.scene import Scene
 from server.renditions import AUDIO, LADDER, Rendition
+from server.worker.compositor import Compositor
 from server.worker.encode import Composited
 from server.worker.encoders import Encoders
 from server.worker.frame_budget import FrameBudget
 from server.worker.heartbeat import Heartbeat
 from server.worker.ingest import Ingest
-from server.worker.light_follower import LightFollower
 from server.worker.light_message import light_message
 from server.worker.messages import Message
 from server.worker.newest import Newest
 from server.worker.output_clock import OutputClock
-from server.worker.picture import FramePool, PictureError, PictureReader, output_size
+from server.worker.picture import PictureError, output_size
 from server.worker.snapshots import Snapshots
 from server.worker.sound import Sound
 from server.worker.source import Decoded, SourceInfo
 from server.worker.state_report import StateReport
 from server.worker.statistics import RollingStatistics
-from server.worker.warm_up import warm_up
 
 logger = logging.getLogger(__name__)
 STEP_ALLOWANCE_S = 1.5    # the main thread counts as alive for this long after each step of its loop,
@@ -68,10 +66,7 @@ class RenderLoop:
         self._skipped = 0                           # frames that the budget gave up
         self._ingest: Ingest | None = None
         self._frames_in_before = 0
-        self._pipeline: Pipeline | None = None
-        self._follower: LightFollower | None = None
-        self._reader: PictureReader | None = None
-        self._pool: FramePool | None = None
+        self._compositor: Compositor | None = None
         self._last: tuple[YuvFrame, Decoded] | None = None
         self._newest_composite: YuvFrame | None = None
         self._frame_number = 0
@@ -99,7 +94,7 @@ class RenderLoop:
                 raise self._sound.error
             if decoded is not None:
                 self._process(decoded)
-            elif self._last is not None and self._watched and time.monotonic() - self._last_render > REPEAT_AFTER_S:
+            elif self._watched:
                 self._repeat()
 
     def _read_inbox(self) -> None:
@@ -116,8 +111,8 @@ class RenderLoop:
             before = self._scene.lighting
             self._scene, self._revision = Scene.model_validate(message["scene"]), int(message["revision"])
             self._heart.allow(SCENE_ALLOWANCE_S if self._scene.lighting == before else OPEN_ALLOWANCE_S)
-            if self._follower is not None:
-                self._follower.disturb()
+            if self._compositor is not None:
+                self._compositor.disturb()
         elif kind == "source":
             self._set_source(message["source"])
         elif kind == "demand":
@@ -159,103 +154,79 @@ class RenderLoop:
     # -- frames -----------------------------------------------------------------------------------------------------
 
     def _process(self, decoded: Decoded) -> None:
-        if self._pipeline is None and not self._open_pipeline(decoded):
+        compositor = self._compositor or self._open(decoded)
+        if compositor is None:
             return
-        assert self._reader is not None
-        frame = decoded.frame
-        self._state.picture(frame, self._reader.size)
+        self._state.picture(decoded.frame, compositor.size)
         self._frame_number += 1
         if self._watched and self._frame_number % self._budget.effort.frame_step:
             self._skipped += 1
             return
         started = time.perf_counter()
         try:
-            picture = self._reader.read(frame)
+            picture = compositor.planes(decoded.frame)
         except PictureError as error:
             self._state.source("lost", str(error))
             return
         self._last = (picture, decoded)
         if self._watched or self._light_clients:
-            self._render(picture, decoded, started, self._clock.ticks(decoded.moment))
+            self._render(compositor, picture, decoded, started)
 
     def _repeat(self) -> None:
         """Render the last frame again: the source is silent, the scene may have changed."""
-        assert self._last is not None
+        if self._last is None or self._compositor is None or time.monotonic() - self._last_render <= REPEAT_AFTER_S:
+            return
         picture, decoded = self._last
         now = time.monotonic()
         again = Decoded(decoded.frame, decoded.pts, now, time.time(), self._clock.moment(None, now))
-        self._render(picture, again, time.perf_counter(), self._clock.ticks(again.moment))
+        self._render(self._compositor, picture, again, time.perf_counter())
 
-    def _open_pipeline(self, decoded: Decoded) -> bool:
-        """Fix the output geometry by the first frame. False when it cannot be processed."""
+    def _open(self, decoded: Decoded) -> Compositor | None:
+        """Fix the output geometry by the first frame. None when it cannot be processed."""
         try:
             size = output_size(decoded.frame.width, decoded.frame.height)
         except PictureError as error:
             self._state.source("lost", str(error))
-            return False
+            return None
         self._heart.allow(OPEN_ALLOWANCE_S)
-        self._reader, self._pool = PictureReader(size), FramePool(size)
-        self._pipeline = Pipeline(self._context, YuvFrame, size, assets=self._assets)
-        warm_up(self._pipeline, size)
-        self._follower = LightFollower(self._pipeline, size[0])
+        self._compositor = Compositor(self._context, size, self._assets)
         self._report_output()
-        return True
+        return self._compositor
 
     def _report_output(self) -> None:
-        if self._reader is not None:
-            self._state.output(self._reader.size, self._encoders.renditions(self._reader.size))
+        if self._compositor is not None:
+            self._state.output(self._compositor.size, self._encoders.renditions(self._compositor.size))
 
-    def _render(self, picture: YuvFrame, decoded: Decoded, started: float, timestamp: int) -> None:
-        assert self._pipeline is not None
-        assert self._follower is not None
-        self._follower.look(picture)
+    def _render(self, compositor: Compositor, picture: YuvFrame, decoded: Decoded, started: float) -> None:
+        timestamp = self._clock.ticks(decoded.moment)
         if self._watched:
-            self._composite(picture, decoded, started, timestamp)
+            self._composite(compositor, picture, decoded, started, timestamp)
         else:
             self._budget.rest()
-            light, timings = self._pipeline.analyse(picture, decoded.decoded_at, self._scene.lighting)
-            self._statistics.add((time.perf_counter() - started) * 1e3, timings.stages)
-            self._follower.take(light, decoded.decoded_at)
+            light, stages = compositor.analyse(picture, self._scene.lighting, decoded.decoded_at)
+            self._statistics.add((time.perf_counter() - started) * 1e3, stages)
             self._send_lights(light, decoded, timestamp)
         self._rendered += 1
         self._rendered_revision = self._revision
         self._last_render = time.monotonic()
 
-    def _composite(self, picture: YuvFrame, decoded: Decoded, started: float, timestamp: int) -> None:
-        """Composite the picture and hand it to the encoder; then read its light, for the next one."""
-        assert self._pipeline is not None
-        assert self._pool is not None
-        assert self._follower is not None
-        output, video = self._pool.take(picture.format)
-        light = self._follower.light
-        rendered = self._pipeline.render(picture, self._scene, light=light, moment=decoded.decoded_at, output=output)
+    def _composite(self, compositor: Compositor, picture: YuvFrame, decoded: Decoded, started: float, timestamp: int) -> None:
+        """Composite the picture and hand it to the encoders; then read its light, for the next one."""
+        moment = decoded.decoded_at
+        made = compositor.composite(picture, self._scene, moment)
         render_ms = (time.perf_counter() - started) * 1e3
-        stages, self._errors = rendered.timings.stages, rendered.errors
-        self._encoders.put(Composited(output, video, self._frame_number, timestamp, decoded.decoded_at, render_ms, stages,
+        self._encoders.put(Composited(made.picture, made.video, self._frame_number, timestamp, moment, render_ms, made.stages,
                                       self._revision))
-        self._newest_composite = output
-        self._statistics.touched_fraction = rendered.touched_fraction
-        found: FrameLight | None = rendered.light
-        if light is None:
-            self._follower.take(rendered.light, decoded.decoded_at)
-        else:
-            interval_s = self._budget.effort.frame_step / self._encoders.fps
-            found, more = self._follower.follow(decoded.decoded_at, interval_s, self._scene.lighting,
-                                                every_frame=self._light_clients > 0)
-            stages = stages | more
+        self._newest_composite, self._errors = made.picture, made.errors
+        self._statistics.touched_fraction = made.touched_fraction
+        interval_s = self._budget.effort.frame_step / self._encoders.fps
+        found, more = compositor.read_light(made, self._scene.lighting, moment, interval_s, every_frame=self._light_clients > 0)
         if found is not None:
             self._send_lights(found, decoded, timestamp)
-        self._statistics.add(render_ms, stages)
-        self._balance(decoded.decoded_at, render_ms / 1e3)
-
-    def _balance(self, moment: float, render_s: float) -> None:
-        """Give accuracy up, or take it back, by how long the frame took."""
-        assert self._pipeline is not None
-        assert self._follower is not None
+        self._statistics.add(render_ms, made.stages | more)
         lost = self.frames.dropped + self._encoders.frames_lost
-        if self._budget.feed(moment, render_s, lost, self._follower.situation(1 / self._encoders.fps)):
-            self._pipeline.quality = self._budget.effort.quality
-            self._follower.tolerance = self._budget.effort.light_tolerance
+        if self._budget.feed(moment, render_ms / 1e3, lost, compositor.situation(1 / self._encoders.fps)):
+            compositor.spend(self._budget.effort)
 
     def _send_lights(self, light: FrameLight, decoded: Decoded, timestamp: int) -> None:
         message = light_message(light, stream=self._stream, frame=self._frame_number, pts=decoded.pts,
@@ -273,10 +244,8 @@ class RenderLoop:
 
     def _snapshot(self, request: int) -> None:
         picture = self._newest_composite
-        if self._pipeline is not None and self._last is not None and not self._watched:
-            rendered = self._pipeline.render(self._last[0], self._scene)
-            assert isinstance(rendered.frame, YuvFrame)
-            picture = rendered.frame
+        if self._compositor is not None and self._last is not None and not self._watched:
+            picture = self._compositor.still(self._last[0], self._scene)
         self._snapshots.answer(request, picture)
 
     def _send_statistics(self) -> None:
@@ -288,7 +257,7 @@ class RenderLoop:
             "render_ms": self._statistics.render_ms(), "stages_ms": self._statistics.stages_ms(),
             "touched_fraction": round(self._statistics.touched_fraction, 5),
             "cpu_seconds": round(usage.ru_utime + usage.ru_stime, 3), "scene_revision": self._rendered_revision,
-            "light_interval": round(self._follower.mean_interval, 2) if self._follower else 1.0,
+            "light_interval": round(self._compositor.light_interval, 2) if self._compositor else 1.0,
             "quality": self._budget.report, "scene_errors": self._errors, "discontinuities": self._clock.discontinuities,
             "tracks": self._encoders.report()}, b"")
 
@@ -300,5 +269,5 @@ class RenderLoop:
         self._encoders.close()
         self._sound.close()
         self._snapshots.close()
-        if self._pipeline is not None:
-            self._pipeline.release()
+        if self._compositor is not None:
+            self._compositor.release()

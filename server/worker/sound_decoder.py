@@ -55,12 +55,13 @@ class SoundDecoder:
         """Samples and their time in the source."""
         if self.broken:
             return []
+        heard, error = [], "nothing comes out"
         try:
             heard = [found for frame in packet.decode() for found in self._resampled(frame)]
-        except (av.error.FFmpegError, OSError, ValueError) as error:
-            self._failed(error)
-            return []
-        self._failures = 0 if heard else self._failures
+        except (av.error.FFmpegError, OSError, ValueError) as reason:
+            self._resampler = None      # it may be the format that has changed
+            error = str(reason)
+        self._judge(worked=bool(heard), error=error)
         return heard
 
     def _resampled(self, frame: AudioFrame) -> list[tuple[NDArray[np.int16], float | None]]:
@@ -68,9 +69,8 @@ class SoundDecoder:
             self._resampler = AudioResampler("s16", "stereo", SOUND_RATE)
         return [(out.to_ndarray().astype(np.int16, copy=False).reshape(-1, 2), out.time) for out in self._resampler.resample(frame)]
 
-    def _failed(self, error: Exception) -> None:
-        self._resampler = None      # it may be the format that has changed
-        self._failures += 1
+    def _judge(self, *, worked: bool, error: str) -> None:
+        self._failures = 0 if worked else self._failures + 1
         if self._failures == MAX_FAILURES:
             self.broken = True
             logger.warning("sound is given up after %d packets that do not decode: %s", MAX_FAILURES, error)
