@@ -185,7 +185,7 @@ def _from_file(path: Path) -> dict[str, Any]:
 def _first_error(error: ErrorDetails, places: Mapping[str, Mapping[str, Any]]) -> str:
     name = str(error["loc"][0]) if error["loc"] else "outputs"      # a rule about several settings: all of these are
     place = next((place for place, values in places.items() if name in values), "default")
-    if error["type"] == "extra_forbidden":
+    if error["type"] == "extra_forbidden" and len(error["loc"]) == 1:
         return f"setting {name!r} ({place}) is unknown, expected one of {', '.join(Settings.model_fields)}"
     cause = error.get("ctx", {}).get("error")
     if isinstance(cause, SourceUrlError):
