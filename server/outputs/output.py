@@ -59,6 +59,8 @@ class Output:
         self.networks = networks
         self._changed = changed
         self._task: asyncio.Task[None] | None = None
+        self._changing = asyncio.Lock()             # of the task
+        self._stopped = False
         self._sound: bool | None = None             # None: nothing is known of the source yet
         self._sound_known = asyncio.Event()
         self._process: OutputProcess | None = None
@@ -104,6 +106,12 @@ class Output:
             self._task.add_done_callback(_log_crash)
 
     async def stop(self) -> None:
+        """For good."""
+        self._stopped = True
+        async with self._changing:
+            await self._end_task()
+
+    async def _end_task(self) -> None:
         task, self._task = self._task, None
         if task is not None:
             task.cancel()
@@ -111,12 +119,14 @@ class Output:
 
     async def replace(self, spec: OutputSpec, networks: tuple[str, ...] | None) -> None:
         """Go on as that. Only what does not reach the process is changed without a new one."""
-        same = spec.model_copy(update={"playback": self.spec.playback}) == self.spec
-        self.spec, self.networks = spec, networks
-        if not same:
-            await self.stop()
-            self._set("disabled", None)
-            self.start()
+        async with self._changing:
+            same = spec.model_copy(update={"playback": self.spec.playback}) == self.spec
+            self.spec, self.networks = spec, networks
+            if not same:
+                await self._end_task()
+                self._set("disabled", None)
+                if not self._stopped:
+                    self.start()
 
     def source_changed(self, state: str, detail: str | None, source: dict[str, Any] | None) -> None:
         """Told of the stream's source: its state, and what it carries (None while nothing is known)."""

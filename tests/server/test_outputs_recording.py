@@ -200,3 +200,16 @@ async def test_an_output_waits_for_a_source_without_a_process(tmp_path: Path) ->
         assert stream.tracks.viewers == 0
         await output.stop()
         assert not len(stream.tracks.fanout("full/h264"))
+
+
+async def test_changes_at_the_same_time_leave_one_process_and_none_after_the_end(tmp_path: Path) -> None:
+    async with EncodedStream() as stream, recording(stream, tmp_path) as output:
+        await until(lambda: output.live)
+        specs = [output.spec.model_copy(update={"prefix": f"p{number}"}) for number in range(3)]
+        await asyncio.gather(*(output.replace(spec, None) for spec in specs))
+        await until(lambda: output.live)
+        assert str(output.detail).startswith("p2-")
+        assert len(stream.tracks.fanout("full/h264")) == 1
+        await asyncio.gather(output.replace(specs[0], None), output.stop())
+        await asyncio.sleep(0.3)
+        assert not len(stream.tracks.fanout("full/h264"))
