@@ -17,8 +17,7 @@ KEYFRAME_SHARE = 600        # percent of a frame's mean share of the bitrate tha
 class Vp8Encoder:
     """Real-time, one packet a frame at once, no hidden reference frames."""
 
-    # VP8 has no tags: RFC 6386 (9.2) and Chromium take it for this
-    COLOURS: ClassVar[YuvFormat | None] = YuvFormat("bt601", False)
+    COLOURS: ClassVar[YuvFormat | None] = YuvFormat("bt601", False)     # it has no tags: RFC 6386 (9.2) and Chromium assume this
 
     def __init__(self, size: tuple[int, int], fps: float, bitrate_bps: int, layout: YuvFormat) -> None:
         if layout != self.COLOURS:
