@@ -27,7 +27,7 @@ HERE = get_host_addresses(use_ipv4=True, use_ipv6=False)[0]
 
 
 class Coturn:
-    """`turnserver` with `use-auth-secret` on this machine's address."""
+    """`turnserver` on this machine's address with the options of docker/compose.nat.yaml."""
 
     def __init__(self, folder: Path) -> None:
         self.port = free_port()
@@ -35,7 +35,8 @@ class Coturn:
         self.process = Process([
             "turnserver", "-n", "--no-cli", "--no-tls", "--no-dtls", "--use-auth-secret", f"--static-auth-secret={SECRET}",
             "--realm=mr360.example", f"--listening-ip={HERE}", f"--relay-ip={HERE}", f"--listening-port={self.port}",
-            "--min-port=48000", "--max-port=48200", "--allow-loopback-peers", "--log-file=stdout", "--simple-log", "--verbose",
+            "--min-port=48000", "--max-port=48200", "--denied-peer-ip=0.0.0.0-255.255.255.255", f"--allowed-peer-ip={HERE}",
+            "--log-file=stdout", "--simple-log", "--verbose",
             f"--pidfile={folder / 'turnserver.pid'}", f"--userdb={folder / 'turn.db'}"], folder / "coturn.log")
         wait_for("coturn", lambda: "listener opened" in self.process.output().lower(), 10)
 
