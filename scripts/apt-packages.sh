@@ -3,7 +3,7 @@
 set -eu
 packages="python3-venv gcc libc6-dev libgl1 libegl1 libegl-mesa0 libgl1-mesa-dri"
 if [ "${1:-run}" = test ]; then
-    packages="$packages chromium iproute2 nginx libnginx-mod-rtmp python3-gi gir1.2-gst-rtsp-server-1.0 gstreamer1.0-tools
+    packages="$packages chromium coturn iproute2 nginx libnginx-mod-rtmp python3-gi gir1.2-gst-rtsp-server-1.0 gstreamer1.0-tools
         gstreamer1.0-plugins-base gstreamer1.0-plugins-good gstreamer1.0-plugins-bad gstreamer1.0-plugins-ugly"
     command -v node >/dev/null && command -v npm >/dev/null || packages="$packages nodejs npm"
 fi

@@ -6,11 +6,12 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from importlib.metadata import PackageNotFoundError, version
 
-from fastapi import FastAPI
+from fastapi import Depends, FastAPI
 from starlette.middleware.cors import CORSMiddleware
 
 from server.config import Settings
-from server.routes import assets, health, live, pages, problems, scenes, streams, whep
+from server.routes import assets, health, live, outputs, pages, playback, problems, scenes, streams, whep
+from server.routes.access import check_access
 from server.service import Service
 
 DESCRIPTION = ("Live 360-degree video as backdrop and light source for virtual objects, streamed to WebXR. WebSockets: "
@@ -36,11 +37,16 @@ def create_app(settings: Settings) -> FastAPI:
     if settings.allowed_origins:
         app.add_middleware(
             CORSMiddleware, allow_origins=settings.allowed_origins,
-            allow_methods=["GET", "HEAD", "POST", "PUT", "PATCH", "DELETE"],
+            allow_methods=["GET", "HEAD", "OPTIONS", "POST", "PUT", "PATCH", "DELETE"],
             allow_headers=["Authorization", "Content-Type", "If-Match"],
-            expose_headers=["Accept-Patch", "ETag", "Link", "Location", "Retry-After"])
-    for routes in (streams, scenes, live, assets, whep, health, pages):
+            expose_headers=["Accept-Patch", "Accept-Post", "ETag", "Link", "Location", "Retry-After", "WWW-Authenticate"])
+    # the others say for themselves what needs a token
+    guarded, others = (streams, scenes, live, assets, outputs, playback), (whep, health, pages)
+    for routes in guarded:
+        app.include_router(routes.router, dependencies=[Depends(check_access)])
+    for routes in others:
         app.include_router(routes.router)
+    app.state.routes = [route for routes in (*guarded, *others) for route in routes.router.routes]
     return app
 
 

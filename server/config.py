@@ -6,39 +6,37 @@ import ipaddress
 import json
 import os
 import tomllib
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
 from pydantic_core import ErrorDetails
 
+from server.auth import Token
+from server.network_settings import OWN, EdgeUrl, IceServer, PortRange, Turn, comma_separated, resolved
+from server.outputs.spec import ConfiguredOutput, ConfiguredPlayback
 from server.source_url import IpNetwork, SourceUrlError, check_command_line_source
 
 ENVIRONMENT_PREFIX = "MR360_"
+JSON_SETTINGS = {
+    "ice_servers": "a JSON list of objects with url, username, credential",
+    "turn": "a JSON object with urls, secret, ttl_s",
+    "tokens": "a JSON list of objects with token, may, streams",
+    "outputs": "a JSON list of objects with id, url, kind, …",
+    "playback": "a JSON list of objects with protocol, url, …",
+}
+SECRET_SETTINGS = ("turn", "tokens", "outputs")     # their values are never shown, not even when they are wrong
 
 
 class ConfigError(ValueError):
     """A setting is unknown or has a value that cannot be used."""
 
 
-def _default_assets_dir() -> Path:
+def _data_folder(name: str) -> Path:
     data_home = os.environ.get("XDG_DATA_HOME")
-    return (Path(data_home) if data_home else Path.home() / ".local" / "share") / "mr360" / "assets"
-
-
-def _comma_separated(value: Any) -> Any:
-    return [item.strip() for item in value.split(",") if item.strip()] if isinstance(value, str) else value
-
-
-class IceServer(BaseModel):
-    """A STUN or TURN server that viewers are told about in WHEP's `Link` header."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    url: Annotated[str, Field(pattern=r"^(stuns?|turns?):[^\s<>\"]+$")]
-    username: Annotated[str, Field(pattern=r"^[\x21\x23-\x5b\x5d-\x7e]*$")] = ""
-    credential: Annotated[str, Field(pattern=r"^[\x21\x23-\x5b\x5d-\x7e]*$")] = ""
+    return (Path(data_home) if data_home else Path.home() / ".local" / "share") / "mr360" / name
 
 
 class Settings(BaseModel):
@@ -49,24 +47,40 @@ class Settings(BaseModel):
     host: Annotated[str, Field(min_length=1, max_length=253)] = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535)] = 8360          # 0: any free port
     source: str | None = None                                   # of the stream `live`
-    assets_dir: Path = Field(default_factory=_default_assets_dir)
+    assets_dir: Path = Field(default_factory=lambda: _data_folder("assets"))
     max_viewers: Annotated[int, Field(ge=1, le=1000)] = 20      # of all streams together
     max_streams: Annotated[int, Field(ge=1, le=64)] = 4
     require_gpu: bool = False
     bitrate_bps: Annotated[int, Field(ge=100_000, le=200_000_000)] | None = None    # None: by geometry
-    source_networks: Annotated[tuple[IpNetwork, ...], BeforeValidator(_comma_separated)] | None = None
+    source_networks: Annotated[tuple[IpNetwork, ...], BeforeValidator(comma_separated)] | None = None
     """Networks outside the public internet that a source given over REST may lie in. None: any, as long as the
     service itself listens on loopback only; otherwise none."""
-    allowed_origins: Annotated[tuple[str, ...], BeforeValidator(_comma_separated)] = ()
+    allowed_origins: Annotated[tuple[str, ...], BeforeValidator(comma_separated)] = ()
     """Foreign web origins (`https://host`) that may use the API, WHEP and the WebSockets; `*` is any."""
     ice_servers: tuple[IceServer, ...] = ()
+    turn: Turn | None = None
+    tokens: tuple[Token, ...] = ()
+    """Who may view and control what. Empty: everybody everything."""
+    edges: tuple[EdgeUrl, ...] = ()
+    """WHEP endpoints to which viewers are sent on when max_viewers is reached; `{stream}` stands for the stream's name."""
+    udp_ports: PortRange | None = None
+    """Ports for the viewers' media, `40000-40100`; one for each viewer. None: any."""
+    advertised_addresses: Annotated[tuple[str, ...], BeforeValidator(resolved)] = (OWN,)
+    """Addresses that viewers are told to send to, in the place of the machine's own (containers, 1:1 address translation):
+    IP addresses, host names, which are looked up at the start, and `own` for the machine's own beside them."""
+    ice_networks: Annotated[tuple[IpNetwork, ...], BeforeValidator(comma_separated)] | None = None
+    """Use only the machine's addresses in these networks for media. None: all of them."""
+    outputs: tuple[ConfiguredOutput, ...] = ()                  # more can be made over REST
+    max_outputs: Annotated[int, Field(ge=0, le=64)] = 8         # of one stream
+    recordings_dir: Path = Field(default_factory=lambda: _data_folder("recordings"))
+    playback: tuple[ConfiguredPlayback, ...] = ()               # ways to watch that hold whatever this service does
 
     @field_validator("source")
     @classmethod
     def _usable_source(cls, value: str | None) -> str | None:
         return check_command_line_source(value) if value else None
 
-    @field_validator("assets_dir")
+    @field_validator("assets_dir", "recordings_dir")
     @classmethod
     def _absolute(cls, value: Path) -> Path:
         return value.expanduser().absolute()
@@ -80,6 +94,17 @@ class Settings(BaseModel):
                 raise ValueError(f"origin is {origin!r}, expected https://HOST, https://HOST:PORT or *")
         return value
 
+    @model_validator(mode="after")
+    def _outputs_fit(self) -> Settings:
+        ids = Counter((output.stream, output.id) for output in self.outputs)
+        for (stream, output_id), count in ids.items():
+            if count > 1:
+                raise ValueError(f"outputs has {count} with the id {output_id!r} for stream {stream!r}, expected one")
+        for stream, count in Counter(output.stream for output in self.outputs).items():
+            if count > self.max_outputs:
+                raise ValueError(f"outputs has {count} for stream {stream!r}, expected at most max_outputs, {self.max_outputs}")
+        return self
+
     @property
     def loopback_only(self) -> bool:
         if self.host == "localhost":
@@ -88,6 +113,13 @@ class Settings(BaseModel):
             return ipaddress.ip_address(self.host).is_loopback
         except ValueError:
             return False
+
+    @property
+    def media_ports(self) -> range | None:
+        if self.udp_ports is None:
+            return None
+        first, _, last = self.udp_ports.partition("-")
+        return range(int(first), int(last) + 1)
 
     @property
     def allowed_source_networks(self) -> tuple[IpNetwork, ...] | None:
@@ -128,16 +160,16 @@ def _from_environment(environment: Mapping[str, str]) -> dict[str, Any]:
     for variable, text in environment.items():
         if variable.startswith(ENVIRONMENT_PREFIX):
             name = variable.removeprefix(ENVIRONMENT_PREFIX).lower()
-            values[name] = _json_list(variable, text) if name == "ice_servers" else text
+            values[name] = _json(name, variable, text) if name in JSON_SETTINGS else text
     return values
 
 
-def _json_list(variable: str, text: str) -> Any:
+def _json(name: str, variable: str, text: str) -> Any:
     try:
         return json.loads(text)
     except ValueError:
-        raise ConfigError(f"{variable} is {text!r}, expected a JSON list of objects with url, username, credential"
-                          ) from None
+        shown = "no JSON" if name in SECRET_SETTINGS else repr(text)
+        raise ConfigError(f"{variable} is {shown}, expected {JSON_SETTINGS[name]}") from None
 
 
 def _from_file(path: Path) -> dict[str, Any]:
@@ -151,7 +183,7 @@ def _from_file(path: Path) -> dict[str, Any]:
 
 
 def _first_error(error: ErrorDetails, places: Mapping[str, Mapping[str, Any]]) -> str:
-    name = str(error["loc"][0])
+    name = str(error["loc"][0]) if error["loc"] else "outputs"      # a rule about several settings: all of these are
     place = next((place for place, values in places.items() if name in values), "default")
     if error["type"] == "extra_forbidden":
         return f"setting {name!r} ({place}) is unknown, expected one of {', '.join(Settings.model_fields)}"
@@ -159,5 +191,6 @@ def _first_error(error: ErrorDetails, places: Mapping[str, Mapping[str, Any]]) -
     if isinstance(cause, SourceUrlError):
         return f"{cause} ({place})"
     expected = str(cause) if cause else error["msg"].lower().replace("input should be", "expected")
-    setting = ".".join(str(part) for part in error["loc"])
-    return f"{setting} is {error['input']!r} ({place}), {expected}"
+    setting = ".".join(str(part) for part in error["loc"] if "[" not in str(part)) or name     # no types of pydantic's own
+    given = "" if name in SECRET_SETTINGS else f" is {error['input']!r}"
+    return f"{setting}{given} ({place}), {expected}"

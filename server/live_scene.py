@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import secrets
+from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any
 
 from renderer.scene import Scene, SceneObject
+
+KEPT_REVISIONS = 256        # more than come while a picture is on its way through the encoder
 
 # (revision's scene, id of the changed object or None when the whole scene was replaced)
 SceneChanged = Callable[["LiveScene", str | None], None]
@@ -27,6 +30,7 @@ class LiveScene:
         self.scene = Scene()
         self.revision = 1
         self._changed = changed
+        self._recent: OrderedDict[int, Scene] = OrderedDict({self.revision: self.scene})
         # Scenes live in memory: without it a revision of an earlier run would pass for one of this run.
         self._epoch = secrets.token_hex(4)
 
@@ -36,6 +40,10 @@ class LiveScene:
 
     def as_json(self) -> dict[str, Any]:
         return self.scene.model_dump(mode="json")
+
+    def at(self, revision: int) -> Scene | None:
+        """The scene of a recent revision; None when it is older than the last `KEPT_REVISIONS`."""
+        return self._recent.get(revision)
 
     def find(self, object_id: str) -> SceneObject | None:
         return next((placed for placed in self.scene.objects if placed.id == object_id), None)
@@ -74,4 +82,7 @@ class LiveScene:
     def _set(self, scene: Scene, changed_id: str | None) -> None:
         self.scene = scene
         self.revision += 1
+        self._recent[self.revision] = scene
+        if len(self._recent) > KEPT_REVISIONS:
+            self._recent.popitem(last=False)
         self._changed(self, changed_id)

@@ -7,6 +7,7 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field
 
 CODECS = ("h264", "vp8")
+AUDIO = "audio/opus"        # the name of the sound's track; those of pictures are rendition/codec
 
 
 class Rendition(BaseModel):

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
-import json
 import logging
 import time
 from collections.abc import Iterator
@@ -12,13 +10,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from server.delivery.fanout import EncodedFrame
-from server.delivery.tracks import AUDIO, Tracks
+from server.delivery.tracks import AUDIO, Tracks, video_track
 from server.event_outbox import Event, EventOutbox
+from server.light_feed import LightFeed
 from server.live_scene import LiveScene
 from server.metrics import StreamMetrics
-from server.newest import Newest
+from server.outputs.stream_outputs import StreamOutputs
 from server.percentiles import Percentiles
-from server.renditions import LADDER, Rendition
+from server.renditions import CODECS, LADDER, Rendition
+from server.snapshots import Snapshots
 from server.source_url import is_file_source, masked
 from server.supervisor import Supervisor
 from server.worker.messages import Message
@@ -26,12 +26,6 @@ from server.worker.messages import Message
 logger = logging.getLogger(__name__)
 
 RTP_CLOCK_HZ = 90_000
-FRAME_WAIT_S = 2.0
-SNAPSHOT_WAIT_S = 3.0
-
-
-class SnapshotError(RuntimeError):
-    """There is no picture, the text says why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +36,8 @@ class StreamSettings:
     require_gpu: bool
     bitrate_bps: int | None
     renditions: tuple[Rendition, ...] = LADDER
+    recordings_dir: str = "recordings"
+    max_outputs: int = 8
 
 
 class Stream:
@@ -55,21 +51,22 @@ class Stream:
         self.input: dict[str, Any] | None = None
         self.output: dict[str, Any] | None = None
         self.flags: list[str] = []
-        self.lights: dict[str, Any] | None = None
+        self.lights = LightFeed(self._send_demand)
         self.worker_stats: dict[str, Any] = {}
         self.latency_ms = Percentiles()
         self.live_scene = LiveScene(self._scene_changed)
-        self.tracks = Tracks(request_keyframe=self._request_keyframe, demand_changed=self._demand_changed)
+        self.tracks = Tracks(request_keyframe=self._request_keyframe, demand_changed=self._demand_changed,
+                             set_bitrate=self._set_bitrate)
         self._settings = settings
         self._metrics = metrics
-        self._light_subscribers: set[Newest[str]] = set()
         self._events: set[EventOutbox] = set()
-        self._snapshot: asyncio.Future[bytes] | None = None
-        self._snapshot_request = 0
         self._newest_timestamp = 0                  # in ticks of 1 / 90000 s since the stream began
         self._viewers_told = 0
         self._timestamp_at = 0.0
+        self.outputs = StreamOutputs(self, limit=settings.max_outputs, recordings_dir=settings.recordings_dir,
+                                     changed=lambda: self._publish(self._outputs_event()))
         self._supervisor = Supervisor(self)
+        self._snapshots = Snapshots(self._supervisor.send)
 
     # --- what others see -------------------------------------------------------------------------------------------
 
@@ -79,8 +76,18 @@ class Stream:
         return self._supervisor.ready
 
     @property
+    def rendition_names(self) -> list[str]:
+        """Of the ladder, best first."""
+        return [rendition.name for rendition in self._settings.renditions]
+
+    @property
     def restarts(self) -> int:
         return self._supervisor.restarts
+
+    def scene_of(self, revision: int) -> dict[str, Any] | None:
+        """The scene as JSON that a picture of that revision shows; None when it is long gone."""
+        scene = self.live_scene.at(revision)
+        return None if scene is None else scene.model_dump(mode="json")
 
     def description(self) -> dict[str, Any]:
         """The resource `/api/streams/{stream}`."""
@@ -101,6 +108,7 @@ class Stream:
             "dropped_after_encoder": self.tracks.dropped,
             "latency_ms": self.latency_ms.summary(),
             "worker_restarts": self.restarts,
+            "outputs": self.outputs.status(),
         }
 
     def delivered(self, seconds: float) -> None:
@@ -116,22 +124,10 @@ class Stream:
         self._supervisor.send({"type": "source", "source": source})
 
     @contextlib.contextmanager
-    def light_subscription(self) -> Iterator[Newest[str]]:
-        """A mailbox with the newest light message as JSON text. As long as it is held, frames are rendered."""
-        mailbox: Newest[str] = Newest()
-        self._light_subscribers.add(mailbox)
-        self._send_demand()
-        try:
-            yield mailbox
-        finally:
-            self._light_subscribers.discard(mailbox)
-            self._send_demand()
-
-    @contextlib.contextmanager
     def event_subscription(self) -> Iterator[EventOutbox]:
         """An outbox that begins with the whole present state."""
         outbox = EventOutbox(self._scene_event)
-        for event in (self._scene_event(), self._source_event(), self._viewers_event()):
+        for event in (self._scene_event(), self._source_event(), self._outputs_event(), self._viewers_event()):
             outbox.put(event)
         self._events.add(outbox)
         try:
@@ -139,28 +135,11 @@ class Stream:
         finally:
             self._events.discard(outbox)
 
-    async def newest_lights(self) -> dict[str, Any] | None:
-        """The light message of a frame processed now, or the last one there was if none comes."""
-        with self.light_subscription() as mailbox, contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(FRAME_WAIT_S):
-                await mailbox.get()
-        return self.lights
-
     async def snapshot(self) -> bytes:
         """The newest composite as JPEG. Raises SnapshotError."""
-        if not self.tracks.wanted and not self._light_subscribers:
-            await self.newest_lights()      # nothing is being rendered: have one frame made for this
-        if self._snapshot is None:
-            self._snapshot = asyncio.get_running_loop().create_future()
-            self._snapshot_request += 1
-            self._supervisor.send({"type": "snapshot", "request": self._snapshot_request})
-        try:
-            async with asyncio.timeout(SNAPSHOT_WAIT_S):
-                return await asyncio.shield(self._snapshot)
-        except TimeoutError:
-            raise SnapshotError("the worker gave no picture in time") from None
-        finally:
-            self._snapshot = None
+        if not self.tracks.wanted and not len(self.lights):
+            await self.lights.of_a_frame_now()      # nothing is being rendered: have one frame made for this
+        return await self._snapshots.newest()
 
     # --- the worker's life, told by the supervisor -----------------------------------------------------------------
 
@@ -182,6 +161,8 @@ class Stream:
 
     def worker_started(self) -> None:
         self._send_demand()
+        for track, bps in self.tracks.squeezed().items():
+            self._set_bitrate(track, bps)
         self.tracks.encoders_replaced()
 
     def worker_ready(self) -> None:
@@ -191,9 +172,7 @@ class Stream:
     def worker_ended(self, reason: str, *, failed: bool) -> None:
         self._metrics.worker_ended()
         self.worker_stats = {}
-        if self._snapshot is not None and not self._snapshot.done():
-            self._snapshot.set_exception(SnapshotError(reason))
-            self._snapshot.exception()      # retrieved here, in case nobody waits any more
+        self._snapshots.fail(reason)
         if failed:
             self._set_state("failed", reason)
         elif self.source is not None:
@@ -207,16 +186,17 @@ class Stream:
             case "packet":
                 self._receive_packet(message, payload)
             case "lights":
-                self._receive_lights(message["message"])
+                self.lights.take(message["message"])
             case "stats":
                 self.worker_stats = {key: value for key, value in message.items() if key != "type"}
                 self._metrics.worker_stats(self.worker_stats)
             case "state":
                 self.input, self.output = message["input"], message["output"]
                 self.flags = [str(flag) for flag in message["flags"]]
+                self._note_bitrates()
                 self._set_state(str(message["source"]), message["detail"])
             case "snapshot":
-                self._receive_snapshot(message, payload)
+                self._snapshots.take(message, payload)
             case unknown:
                 raise ValueError(f"message type is {unknown!r}, expected one of ARCHITECTURE.md")
 
@@ -229,30 +209,21 @@ class Stream:
                                                 decoded_at=float(message["decoded_at"]),
                                                 scene_revision=int(message.get("revision", 0))))
 
-    def _receive_lights(self, lights: dict[str, Any]) -> None:
-        self.lights = dict(lights)
-        if self._light_subscribers:
-            text = json.dumps(lights, allow_nan=False, separators=(",", ":"))
-            for mailbox in self._light_subscribers:
-                mailbox.put(text)
-
-    def _receive_snapshot(self, message: Message, payload: bytes) -> None:
-        waiting = self._snapshot
-        if waiting is None or waiting.done() or message["request"] != self._snapshot_request:
-            return
-        if message["error"] is None:
-            waiting.set_result(payload)
-        else:
-            waiting.set_exception(SnapshotError(str(message["error"])))
-            waiting.exception()
+    def _note_bitrates(self) -> None:
+        for rung in (self.output or {}).get("renditions", ()):
+            for codec in CODECS:
+                self.tracks.nominal_bps[video_track(rung["name"], codec)] = float(rung["bitrate_bps"])
 
     # --- to the worker ---------------------------------------------------------------------------------------------
 
     def _send_demand(self) -> None:
-        self._supervisor.send({"type": "demand", "tracks": self.tracks.wanted, "lights": len(self._light_subscribers)})
+        self._supervisor.send({"type": "demand", "tracks": self.tracks.wanted, "lights": len(self.lights)})
 
     def _request_keyframe(self, track: str) -> None:
         self._supervisor.send({"type": "keyframe", "track": track}, slot=f"keyframe {track}")
+
+    def _set_bitrate(self, track: str, bps: int | None) -> None:
+        self._supervisor.send({"type": "bitrate", "track": track, "bps": bps}, slot=f"bitrate {track}")
 
     # --- changes ---------------------------------------------------------------------------------------------------
 
@@ -279,6 +250,7 @@ class Stream:
         if (state, detail) != (self.state, self.detail):
             logger.info("%s: source %s%s", self.name, state, f", {detail}" if detail else "")
         self.state, self.detail = state, detail
+        self.outputs.source_changed(state, detail, self.input)
         self._publish(self._source_event())
 
     def _publish(self, event: Event) -> None:
@@ -291,6 +263,9 @@ class Stream:
     def _source_event(self) -> Event:
         return {"type": "source", "state": self.state, "detail": self.detail, "input": self.input,
                 "output": self.output, "flags": self.flags}
+
+    def _outputs_event(self) -> Event:
+        return {"type": "outputs", "outputs": self.outputs.status()}
 
     def _viewers_event(self) -> Event:
         return {"type": "viewers", "count": self.tracks.viewers}

@@ -54,27 +54,31 @@ class Streams:
             raise DuplicateStreamError(name)
         if len(self._running) >= self._settings.max_streams:
             raise TooManyStreamsError(name)
-        stream_settings = StreamSettings(str(self._settings.assets_dir), self._settings.require_gpu,
-                                         self._settings.bitrate_bps)
+        stream_settings = StreamSettings(
+            str(self._settings.assets_dir), self._settings.require_gpu, self._settings.bitrate_bps,
+            recordings_dir=str(self._settings.recordings_dir), max_outputs=self._settings.max_outputs)
         stream = Stream(name, source, stream_settings, StreamMetrics(self._metrics, name))
         task = asyncio.create_task(stream.run(), name=f"stream {name}")
         task.add_done_callback(_log_crash)
         self._running[name] = _Running(stream, task)
+        for configured in self._settings.outputs:
+            if configured.stream == name:
+                stream.outputs.add(configured.spec)
         return stream
 
     async def remove(self, name: str) -> None:
         running = self._running.pop(name)
-        await _end(running.task)
+        await _end(running)
         self._metrics.forget(name)
 
     async def close(self) -> None:
         running, self._running = list(self._running.values()), {}
-        await asyncio.gather(*(_end(item.task) for item in running))
+        await asyncio.gather(*(_end(item) for item in running))
 
 
-async def _end(task: asyncio.Task[None]) -> None:
-    task.cancel()
-    await asyncio.wait([task])
+async def _end(running: _Running) -> None:
+    running.task.cancel()
+    await asyncio.gather(asyncio.wait([running.task]), running.stream.outputs.close())
 
 
 def _log_crash(task: asyncio.Task[None]) -> None:

@@ -2,6 +2,7 @@
 
 Nothing here waits for the worker: outgoing messages lie in one slot per type (a newer one replaces it; keyframe
 requests in one per track), a worker that falls silent is killed, and one that does not end when asked is killed too.
+The processes of outputs are like it, with a command and limits of their own (`server/outputs/process.py`).
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ import logging
 import signal
 import socket
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Self
 
 from server.worker.messages import Message, ProtocolError, encode_message, read_message
 
@@ -43,7 +45,7 @@ class WorkerProcess:
         self._ready = False
 
     @classmethod
-    async def start(cls, start: Message) -> WorkerProcess:
+    async def start(cls, start: Message) -> Self:
         """Start the process; `start` will be its first message.
 
         Raises:
@@ -54,7 +56,7 @@ class WorkerProcess:
             with theirs:
                 # A session of its own: Ctrl-C in the terminal reaches the server only, which ends its workers in order.
                 process = await asyncio.create_subprocess_exec(
-                    *WORKER_COMMAND, "--fd", str(theirs.fileno()), pass_fds=(theirs.fileno(),),
+                    *cls._command(), "--fd", str(theirs.fileno()), pass_fds=(theirs.fileno(),),
                     stdin=asyncio.subprocess.DEVNULL, start_new_session=True)
         except BaseException:
             ours.close()
@@ -69,6 +71,14 @@ class WorkerProcess:
         worker = cls(process, reader, writer)
         worker.send(start)
         return worker
+
+    @classmethod
+    def _command(cls) -> Sequence[str]:
+        return WORKER_COMMAND
+
+    @property
+    def _silence_limit_s(self) -> float:
+        return SILENCE_LIMIT_S if self._ready else STARTUP_LIMIT_S
 
     @property
     def pid(self) -> int:
@@ -154,6 +164,5 @@ class WorkerProcess:
         while True:
             await asyncio.sleep(WATCH_INTERVAL_S)
             self._silent_s += WATCH_INTERVAL_S
-            limit = SILENCE_LIMIT_S if self._ready else STARTUP_LIMIT_S
-            if self._silent_s >= limit:
-                return f"was silent for {limit:g} s"
+            if self._silent_s >= self._silence_limit_s:
+                return f"was silent for {self._silence_limit_s:g} s"

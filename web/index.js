@@ -1,6 +1,6 @@
 // The stream list: refreshed for as long as the page is looked at.
 
-import { controlUrl, problemText, streamsUrl, viewUrl } from './service.js';
+import { authorized, controlUrl, problemText, streamsUrl, viewUrl } from './service.js';
 
 const REFRESH_MS = 3000;
 const SOURCES = {
@@ -12,7 +12,7 @@ async function refresh() {
   if (document.hidden) return;
   const message = document.getElementById('message');
   try {
-    const response = await fetch(streamsUrl(), { signal: AbortSignal.timeout(10_000) });
+    const response = await fetch(streamsUrl(), { headers: authorized(), signal: AbortSignal.timeout(10_000) });
     if (!response.ok) throw new Error(await problemText(response));
     const body = await response.json();
     const streams = Array.isArray(body) ? body : body.streams;

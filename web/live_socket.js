@@ -1,6 +1,6 @@
 // A WebSocket of the service that is made again for as long as the page wants it.
 
-import { backoffMs } from './service.js';
+import { backoffMs, socketProtocols } from './service.js';
 
 /** Events: `text` with `detail` = one message's text, `lost` and `reopened` when the socket went down and came back. */
 export class LiveSocket extends EventTarget {
@@ -19,7 +19,7 @@ export class LiveSocket extends EventTarget {
   start() {
     if (this.#socket) return;
     clearTimeout(this.#timer);
-    const socket = this.#socket = new WebSocket(this.#url);
+    const socket = this.#socket = new WebSocket(this.#url, socketProtocols());
     socket.addEventListener('open', () => {
       this.#attempt = 0;
       if (this.#lost) this.dispatchEvent(new Event('reopened'));

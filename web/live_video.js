@@ -1,6 +1,6 @@
 // Plays a stream into a video element as it comes, and says in words how that goes.
 
-import { whepUrl } from './service.js';
+import { playback, whepUrl } from './service.js';
 import { describe } from './status.js';
 import { VideoFrames, isFed } from './video_frames.js';
 import { WhepClient } from './whep.js';
@@ -24,7 +24,7 @@ export class LiveVideo extends EventTarget {
     this.#video = video;
     this.#events = events;
     this.#frames = new VideoFrames(video);
-    this.whep = new WhepClient(whepUrl(stream));
+    this.whep = new WhepClient(whepUrl(stream), () => playback(stream));
     this.whep.addEventListener('state', () => {
       this.#playingSince = performance.now();
       this.dispatchEvent(new Event('change'));

@@ -1,6 +1,6 @@
 // The part of the service's REST interface that edits a scene.
 
-import { eventsUrl, problemText, streamsUrl } from './service.js';
+import { authorized, eventsUrl, problemText, streamsUrl } from './service.js';
 
 const ANSWER_MS = 10_000;
 const MAX_ATTEMPTS = 5;
@@ -79,7 +79,7 @@ async function request(method, url, body, headers = {}) {
   try {
     response = await fetch(url, {
       method, body: body && JSON.stringify(body), signal: AbortSignal.timeout(ANSWER_MS),
-      headers: body ? { 'Content-Type': 'application/json', ...headers } : headers,
+      headers: authorized(body ? { 'Content-Type': 'application/json', ...headers } : headers),
     });
   } catch (error) {
     const silent = error.name === 'TimeoutError';

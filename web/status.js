@@ -4,6 +4,7 @@ const REASONS = {
   'not-found': 'Stream not found',
   busy: 'The server is full',
   refused: 'The server refused',
+  forbidden: 'Not allowed',
   unreachable: 'Server not reachable',
   timeout: 'No connection',
   disconnected: 'Connection lost',
@@ -25,8 +26,8 @@ export function describe({ stream, whep, retryInS, source, hasPicture, silentMs 
   const say = (level, title, detail = '', canRetry = false) => ({ level, title, detail, canRetry });
   if (whep.state === 'idle') return say('busy', 'Stopped', '', true);
   if (whep.state === 'unsupported') {
-    return say('error', 'No H.264 video in this browser',
-      `The stream is H.264 and ${whep.detail}. Current Chrome, Edge, Safari and Firefox can play it.`);
+    return say('error', 'No video in this browser',
+      `The stream is H.264 or VP8 and ${whep.detail}. Current Chrome, Edge, Safari and Firefox can play it.`);
   }
   if (whep.state === 'waiting') {
     const when = `Reconnecting in ${Math.max(0, Math.ceil(retryInS))} s.`;

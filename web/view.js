@@ -4,7 +4,7 @@ import { perspective, worldFromScreen } from './camera.js';
 import { StreamEvents } from './events.js';
 import { Look } from './look.js';
 import { Panorama } from './panorama.js';
-import { eventsUrl, whepUrl } from './service.js';
+import { eventsUrl, playback, whepUrl } from './service.js';
 import { Statistics } from './statistics.js';
 import { describe } from './status.js';
 import { VideoFrames, isFed } from './video_frames.js';
@@ -25,7 +25,7 @@ class Viewer {
     this.panorama = new Panorama(gl);
     this.frames = new VideoFrames(this.video);
     this.look = new Look(this.canvas);
-    this.whep = new WhepClient(whepUrl(this.stream));
+    this.whep = new WhepClient(whepUrl(this.stream), () => playback(this.stream));
     this.events = new StreamEvents(eventsUrl(this.stream));
     this.immersive = new ImmersiveView(this.panorama, this.video, this.frames);
     this.statistics = null;
@@ -96,6 +96,9 @@ class Viewer {
     });
     this.whep.addEventListener('stream', ({ detail }) => {
       this.video.srcObject = detail;
+      const offerSound = () => { element('sound').hidden = detail.getAudioTracks().length === 0; };
+      detail.addEventListener('addtrack', offerSound);
+      offerSound();
       this.video.play().catch(() => {});   // a later gesture starts it
     });
     this.whep.addEventListener('drop', () => this.video.pause());   // a paused video keeps its last picture
@@ -108,6 +111,7 @@ class Viewer {
 
   #connectButtons() {
     element('retry').addEventListener('click', () => this.whep.start());
+    element('sound').addEventListener('click', () => this.#toggleSound());
     element('statistics-button').addEventListener('click', () => this.#toggleStatistics());
     element('fullscreen').hidden = !document.fullscreenEnabled;
     element('fullscreen').addEventListener('click', () => this.#toggleFullscreen());
@@ -133,6 +137,7 @@ class Viewer {
       if (event.ctrlKey || event.metaKey || event.altKey || event.repeat) return;
       if (event.key === 'i') this.#toggleStatistics();
       if (event.key === 'f') this.#toggleFullscreen();
+      if (event.key === 'm') this.#toggleSound();
     });
     document.addEventListener('visibilitychange', () => { this.playingSince = performance.now(); });
     addEventListener('online', () => this.whep.start());
@@ -152,6 +157,13 @@ class Viewer {
   #toggleFullscreen() {
     const change = document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen();
     change.catch((error) => setText('note', `Full screen was refused: ${error.message}`));
+  }
+
+  /** Off until a person asks: browsers play nothing aloud before that. */
+  #toggleSound() {
+    this.video.muted = !this.video.muted;
+    element('sound').setAttribute('aria-pressed', !this.video.muted);
+    this.video.play().catch(() => {});
   }
 
   async #toggleVr() {

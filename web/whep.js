@@ -1,15 +1,22 @@
 // WHEP client (draft-ietf-wish-whep): one recvonly session that is made again for as long as it is wanted.
 
-import { backoffMs, problemText } from './service.js';
+import { withinReach } from './decoding.js';
+import { restartFragment, restartedAnswer } from './ice_restart.js';
+import { bytesReceived, describeLocally, receivingPeer, somethingReceived } from './peer.js';
+import { authorized, backoffMs, problemText } from './service.js';
+import { iceServersFromLink, retryAfterMs } from './whep_headers.js';
 
 const GATHERING_MS = 3000;     // host candidates come at once; a dead STUN or TURN server must not hold up the offer
 const ANSWER_MS = 10_000;
 const CONNECT_MS = 15_000;     // from the answer to the first connected state
-const DISCONNECTED_MS = 4000;  // ICE often recovers by itself from a short break
+const DISCONNECTED_MS = 2000;  // ICE often recovers by itself from a short break; then it is restarted
+const RESTART_MS = 8000;       // for that, before there is a new session
+const RESTART_PAUSE_MS = 500;
+const RESTART_GATHERING_MS = 500;
 const STABLE_MS = 10_000;      // connected for so long: the next failure starts with a short pause again
 const LONGEST_PAUSE_MS = 60_000;
 
-/** Why a session ended. reason: not-found, busy, refused, unreachable, timeout, disconnected or no-h264. */
+/** Why a session ended. reason: not-found, busy, forbidden, refused, unreachable, timeout, disconnected or no-codec. */
 class SessionError extends Error {
   constructor(reason, message, retryAfterMs = null) {
     super(message);
@@ -35,16 +42,24 @@ export class WhepClient extends EventTarget {
   peer = null;
 
   #url;
+  #playback;
   #sessionUrl = null;
   #attempt = 0;
   #timer = null;
   #abort = null;
   #connectedAt = null;
+  #stream = null;
+  #restarting = false;
 
-  /** @param {string} url POST /whep/{stream} */
-  constructor(url) {
+  /**
+   * @param {string} url POST /whep/{stream}
+   * @param {() => Promise<object[]>} playback every way to watch it, from which a rendition that this device decodes is chosen
+   */
+  constructor(url, playback = async () => []) {
     super();
     this.#url = url;
+    this.#playback = playback;
+    globalThis.addEventListener?.('online', () => this.#restartIce());     // most likely over another network
   }
 
   /** Connects now; does nothing while connecting or connected. */
@@ -60,16 +75,14 @@ export class WhepClient extends EventTarget {
     this.#enter('idle');
   }
 
-  /** Makes a new session at once if no media comes in any more, without waiting for ICE to notice. */
+  /** Looks for another way at once if no media comes in any more, without waiting for ICE to notice. */
   async verify(withinMs = 1500) {
     const peer = this.peer;
     if (this.state !== 'connected') return;
     const before = await bytesReceived(peer);
     await new Promise((resolve) => setTimeout(resolve, withinMs));
     if (this.peer !== peer || this.state !== 'connected' || await bytesReceived(peer) !== before) return;
-    if (this.peer !== peer) return;
-    this.#drop();
-    this.#connect();
+    if (this.peer === peer) await this.#restartIce();
   }
 
   async #connect() {
@@ -78,15 +91,15 @@ export class WhepClient extends EventTarget {
     const { signal } = this.#abort;
     this.#enter('connecting');
     try {
-      const servers = await this.#iceServers(signal);
+      const asking = withinReach(this.#url, this.#playback);
+      const servers = await this.#iceServers(signal) ?? [];
       const peer = this.#createPeer(servers, signal);
-      await peer.setLocalDescription(await peer.createOffer());
-      await gathered(peer, GATHERING_MS);
+      const offer = await describeLocally(peer, await peer.createOffer(), GATHERING_MS);
       signal.throwIfAborted();
-      const answer = await this.#post(peer.localDescription.sdp, signal);
+      const answer = await this.#post(await asking, offer, signal);
       await peer.setRemoteDescription({ type: 'answer', sdp: answer });
       if (peer.getTransceivers()[0].currentDirection !== 'recvonly') {
-        throw new SessionError('no-h264', 'the server and this browser share no video codec');
+        throw new SessionError('no-codec', 'the server and this browser share no video codec');
       }
       this.#limit(CONNECT_MS, signal, 'no connection was made: a firewall may block WebRTC (UDP)');
     } catch (error) {
@@ -95,24 +108,80 @@ export class WhepClient extends EventTarget {
   }
 
   #createPeer(iceServers, signal) {
-    const peer = this.peer = new RTCPeerConnection({ iceServers, bundlePolicy: 'max-bundle' });
-    const video = peer.addTransceiver('video', { direction: 'recvonly' });
-    preferH264(video);
-    shortenJitterBuffer(video.receiver);
-    peer.addEventListener('track', ({ streams, track }) => {
-      const stream = streams[0] ?? new MediaStream([track]);
-      this.dispatchEvent(new CustomEvent('stream', { detail: stream }));
-    });
+    const peer = this.peer = receivingPeer(iceServers);
+    peer.addEventListener('track', ({ streams, track }) => this.#addTrack(streams[0], track));
     let brokenFor = null;
     peer.addEventListener('connectionstatechange', () => {
       if (signal.aborted) return;
       clearTimeout(brokenFor);
-      const broken = () => signal.aborted || this.#fail(new SessionError('disconnected', 'the connection broke'));
       if (peer.connectionState === 'connected') this.#connected();
-      if (peer.connectionState === 'disconnected') brokenFor = setTimeout(broken, DISCONNECTED_MS);
-      if (['failed', 'closed'].includes(peer.connectionState)) broken();
+      if (peer.connectionState === 'disconnected') brokenFor = setTimeout(() => this.#restartIce(), DISCONNECTED_MS);
+      if (['failed', 'closed'].includes(peer.connectionState)) this.#broken(signal);
     });
     return peer;
+  }
+
+  /** Picture and sound come in one MediaStream, one after the other. */
+  #addTrack(stream, track) {
+    if (this.#stream && (!stream || stream === this.#stream)) {
+      if (!stream) this.#stream.addTrack(track);
+      return;
+    }
+    this.#stream = stream ?? new MediaStream([track]);
+    this.dispatchEvent(new CustomEvent('stream', { detail: this.#stream }));
+  }
+
+  #broken(signal) {
+    if (!signal.aborted) this.#fail(new SessionError('disconnected', 'the connection broke'));
+  }
+
+  /**
+   * Looks for a new path for the session's media, as after a change of the network; the old one is used until there is one. If
+   * nothing is found, the session has ended.
+   */
+  async #restartIce() {
+    const { peer } = this;
+    if (this.state !== 'connected' || this.#restarting || !this.#sessionUrl) return;
+    const { signal } = this.#abort;
+    const limit = anySignal(signal, RESTART_MS);
+    this.#restarting = true;
+    try {
+      const before = await bytesReceived(peer);
+      while (!await this.#negotiateRestart(peer, limit)) {
+        await new Promise((resolve) => setTimeout(resolve, RESTART_PAUSE_MS));
+        if (await bytesReceived(peer) !== before) return;     // the old path is back
+      }
+      await somethingReceived(peer, limit);
+    } catch (error) {
+      if (!signal.aborted && error.reason === 'not-found') this.#connectAnew();
+      else this.#broken(signal);
+    } finally {
+      this.#restarting = false;
+    }
+  }
+
+  /** At once: the service is there, and knows nothing of the session. */
+  #connectAnew() {
+    this.#drop();
+    this.#connect();
+  }
+
+  /** False if the server cannot be reached: the network may be gone for a moment. */
+  async #negotiateRestart(peer, signal) {
+    const iceServers = await this.#iceServers(signal);      // the credentials may have expired
+    if (iceServers) peer.setConfiguration({ ...peer.getConfiguration(), iceServers });
+    const offer = await describeLocally(peer, await peer.createOffer({ iceRestart: true }), RESTART_GATHERING_MS);
+    signal.throwIfAborted();
+    const response = await fetch(this.#sessionUrl, {
+      method: 'PATCH', body: restartFragment(offer), signal,
+      headers: authorized({ 'Content-Type': 'application/trickle-ice-sdpfrag', 'If-Match': '*' }),
+    }).catch(() => signal.throwIfAborted());
+    if (!response) return false;
+    if (response.status !== 200) throw await refusal(response);
+    const sdp = restartedAnswer(peer.currentRemoteDescription.sdp, await response.text());
+    signal.throwIfAborted();
+    await peer.setRemoteDescription({ type: 'answer', sdp });
+    return true;
   }
 
   #connected() {
@@ -124,19 +193,19 @@ export class WhepClient extends EventTarget {
   /** ICE servers must be known before gathering begins; a server that does not tell them to OPTIONS needs none. */
   async #iceServers(signal) {
     try {
-      const response = await fetch(this.#url, { method: 'OPTIONS', signal: anySignal(signal, ANSWER_MS) });
+      const response = await fetch(this.#url, { method: 'OPTIONS', headers: authorized(), signal: anySignal(signal, ANSWER_MS) });
       return iceServersFromLink(response.headers.get('Link'));
     } catch {
       signal.throwIfAborted();
-      return [];   // POST will say what is wrong
+      return null;   // POST will say what is wrong
     }
   }
 
-  async #post(sdp, signal) {
+  async #post(url, sdp, signal) {
     let response;
     try {
-      response = await fetch(this.#url, {
-        method: 'POST', headers: { 'Content-Type': 'application/sdp', Accept: 'application/sdp' }, body: sdp,
+      response = await fetch(url, {
+        method: 'POST', headers: authorized({ 'Content-Type': 'application/sdp', Accept: 'application/sdp' }), body: sdp,
         signal: anySignal(signal, ANSWER_MS),
       });
     } catch (error) {
@@ -164,7 +233,7 @@ export class WhepClient extends EventTarget {
     this.#drop();
     this.reason = error.reason ?? 'refused';
     this.detail = error.message;
-    if (this.reason === 'no-h264') {
+    if (this.reason === 'no-codec') {
       this.#enter('unsupported', this.reason, this.detail);
       return;
     }
@@ -182,6 +251,7 @@ export class WhepClient extends EventTarget {
     this.peer?.close();
     this.peer = null;
     this.#connectedAt = null;
+    this.#stream = null;
     forget(this.#sessionUrl);
     this.#sessionUrl = null;
   }
@@ -192,65 +262,15 @@ export class WhepClient extends EventTarget {
   }
 }
 
-/** ICE servers of a WHEP Link header: `<turn:host>; rel="ice-server"; username="u"; credential="c"`, comma-separated. */
-export function iceServersFromLink(header) {
-  const servers = [];
-  for (const [, urls, parameters] of (header ?? '').matchAll(/<([^>]*)>([^<]*)/g)) {
-    const of = (name) => {
-      const match = parameters.match(new RegExp(`(?:^|[;\\s])${name}\\s*=\\s*(?:"([^"]*)"|([^";,\\s]*))`, 'i'));
-      return match?.[1] ?? match?.[2];
-    };
-    if (of('rel') !== 'ice-server') continue;
-    const username = of('username');
-    servers.push(username === undefined ? { urls } : { urls, username, credential: of('credential') });
-  }
-  return servers;
-}
-
-/** Milliseconds of a Retry-After header (seconds or an HTTP date), or null. */
-export function retryAfterMs(header, now = Date.now()) {
-  if (!header) return null;
-  const ms = /^\s*\d+\s*$/.test(header) ? Number(header) * 1000 : Date.parse(header) - now;
-  return Number.isFinite(ms) ? Math.max(0, ms) : null;
-}
-
 async function refusal(response) {
   const text = await problemText(response);
   const pause = retryAfterMs(response.headers.get('Retry-After'));
   if ([404, 410].includes(response.status)) return new SessionError('not-found', text, pause);
   if ([429, 503].includes(response.status)) return new SessionError('busy', text, pause);
-  if (response.status === 406) return new SessionError('no-h264', text);
+  if ([401, 403].includes(response.status)) return new SessionError('forbidden', text, pause);
+  if (response.status === 406) return new SessionError('no-codec', text);
   if ([502, 504].includes(response.status)) return new SessionError('unreachable', text, pause);   // a proxy's words
   return new SessionError('refused', text, pause);
-}
-
-function preferH264(transceiver) {
-  const codecs = RTCRtpReceiver.getCapabilities?.('video')?.codecs;
-  if (!codecs || !transceiver.setCodecPreferences) return;   // an old browser: the server chooses
-  const isH264 = (codec) => codec.mimeType.toLowerCase() === 'video/h264';
-  if (!codecs.some(isH264)) throw new SessionError('no-h264', 'this browser does not receive H.264 video');
-  transceiver.setCodecPreferences([...codecs.filter(isH264), ...codecs.filter((codec) => !isH264(codec))]);
-}
-
-/** Live and interactive: show a frame as soon as it is whole, rather than smoothly and late. */
-function shortenJitterBuffer(receiver) {
-  if ('jitterBufferTarget' in receiver) receiver.jitterBufferTarget = 0;
-  else if ('playoutDelayHint' in receiver) receiver.playoutDelayHint = 0;
-}
-
-function gathered(peer, limitMs) {
-  return new Promise((resolve) => {
-    const check = () => peer.iceGatheringState === 'complete' && resolve();
-    peer.addEventListener('icegatheringstatechange', check);
-    setTimeout(resolve, limitMs);
-    check();
-  });
-}
-
-async function bytesReceived(peer) {
-  let bytes = 0;
-  for (const report of (await peer.getStats()).values()) if (report.type === 'inbound-rtp') bytes += report.bytesReceived;
-  return bytes;
 }
 
 function anySignal(signal, timeoutMs) {
@@ -259,5 +279,5 @@ function anySignal(signal, timeoutMs) {
 
 function forget(sessionUrl) {
   // keepalive outlives the page; whether it arrives matters to nobody here, the server also times sessions out
-  if (sessionUrl) fetch(sessionUrl, { method: 'DELETE', keepalive: true }).catch(() => {});
+  if (sessionUrl) fetch(sessionUrl, { method: 'DELETE', headers: authorized(), keepalive: true }).catch(() => {});
 }

@@ -26,8 +26,8 @@ from renderer.timings import Timings
 from server.bench.machine import machine_record
 from server.bench.stages import five_objects
 from server.demo.camera import Camera
-from server.worker.render_loop import warm_up
 from server.worker.statistics import percentiles
+from server.worker.warm_up import warm_up
 
 BAD_INPUT = 2
 SIZES = "2048x1024,3840x1920,7680x3840"

@@ -28,7 +28,7 @@ from server.demo.clip import demo_clip
 from server.worker.accuracy import FULL_EFFORT, Costs, Effort, Situation, predicted_cost_s, predicted_error
 from server.worker.light_need import LightNeed
 from server.worker.picture import PictureReader
-from server.worker.render_loop import warm_up
+from server.worker.warm_up import warm_up
 
 FPS, WARM_UP = 30, 30
 LINEAR = linear_from_srgb(np.clip((np.arange(256) - 16) / 219, 0, 1))

@@ -27,8 +27,8 @@ from server.bench.service_scene import knot_alone, knot_glb, objects_around, tri
 from server.demo.clip import demo_clip
 from server.demo.watch import DemoError, StopError
 from server.worker.picture import FramePool, PictureReader
-from server.worker.render_loop import warm_up
 from server.worker.statistics import percentiles
+from server.worker.warm_up import warm_up
 
 OBJECTS = (1, 5, 10, 20, 50)
 TRIANGLES = (6_000, 20_000, 70_000, 200_000)

@@ -17,9 +17,10 @@ import threading
 import time
 from typing import Any
 
-from server.worker.encode import CLOCK_RATE, Composited, EncodeThread
+from server.worker.encode import Composited, EncodeThread, full_plan
 from server.worker.ingest import Ingest
 from server.worker.newest import Newest
+from server.worker.output_clock import CLOCK_RATE
 from server.worker.picture import PictureReader, output_size
 from server.worker.source import Decoded, SourceInfo
 
@@ -36,7 +37,8 @@ class Transcoder:
         self._bytes = 0
         self._index = 0
         self._reader: PictureReader | None = None
-        self._encode = EncodeThread(self._on_packet)
+        self._fps = 30.0
+        self._encode = EncodeThread(self._on_packet, plan=lambda size: full_plan(size, self._fps))
         self._ingest = Ingest(url, allow_files=False, frames=self.frames, on_state=self._on_state)
 
     def run(self, stop: threading.Event) -> None:
@@ -54,7 +56,7 @@ class Transcoder:
 
     def progress(self) -> dict[str, Any]:
         usage = resource.getrusage(resource.RUSAGE_SELF)
-        return {"frames_in": self._ingest.frames_in, "frames_encoded": self._encode.frames_encoded,
+        return {"frames_in": self._ingest.frames_in, "frames_encoded": self._encode.statistics.frames_encoded,
                 "frames_dropped": self.frames.dropped + self._encode.pictures.dropped, "bytes": self._bytes,
                 "cpu_seconds": usage.ru_utime + usage.ru_stime, "time": time.monotonic()}
 
@@ -70,7 +72,7 @@ class Transcoder:
 
     def _on_state(self, state: str, detail: str | None, info: SourceInfo | None) -> None:
         if info is not None:
-            self._encode.fps = info.fps
+            self._fps = info.fps
 
     def _on_packet(self, payload: bytes, is_keyframe: bool, item: Composited) -> None:
         self._bytes += len(payload)

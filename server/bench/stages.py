@@ -15,6 +15,7 @@ from typing import Any
 import av
 from av.video.frame import VideoFrame
 
+from renderer.color import YuvFormat
 from renderer.frame import YuvFrame
 from renderer.gl import Context
 from renderer.pipeline import Pipeline
@@ -22,10 +23,11 @@ from renderer.scene import Scene
 from renderer.timings import Timings
 from server.demo.clip import demo_clip
 from server.demo.sample_scene import GROUND_Y, sample_scene
-from server.worker.encode import Composited, Encoder, default_bitrate
+from server.worker.h264 import H264Encoder, default_bitrate
+from server.worker.output_clock import CLOCK_RATE
 from server.worker.picture import FramePool, PictureReader
-from server.worker.render_loop import warm_up
 from server.worker.statistics import percentiles
+from server.worker.warm_up import warm_up
 
 WARM_UP_FRAMES = 15
 
@@ -76,7 +78,7 @@ def _run(context: Context, clip: Path, scene: Scene, size: tuple[int, int], fps:
     pipeline = Pipeline(context, YuvFrame, size)
     warm_up(pipeline, size)
     reader = PictureReader(size)
-    encoder = Encoder(size, fps, default_bitrate(*size), bt709=True, full_range=False)
+    encoder = H264Encoder(size, fps, default_bitrate(*size), YuvFormat())
     samples, pool, light = _Samples(), FramePool(size), None
     for index, frame in enumerate(_decoded(clip, count + WARM_UP_FRAMES, samples)):
         picture = reader.read(frame)
@@ -90,9 +92,8 @@ def _run(context: Context, clip: Path, scene: Scene, size: tuple[int, int], fps:
         with samples.row("prepare light"):
             timings = pipeline.prepare(light)
         samples.add_stages(timings)
-        item = Composited(output, video, index, index * 90_000 // fps, 0.0, 0.0)
         with samples.row("encode"):
-            encoder.encode(item, keyframe=False)
+            encoder.encode(video, index * CLOCK_RATE // fps, keyframe=False)
         if index + 1 == WARM_UP_FRAMES:
             samples.wall.clear()
             samples.processor.clear()

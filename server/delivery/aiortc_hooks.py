@@ -5,46 +5,41 @@ Each hook has a test in tests/server/test_aiortc_hooks.py that fails when aiortc
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 
-from aiortc import RTCRtpSender, rtcrtpreceiver, rtcrtpsender
+from aiortc import MediaStreamTrack, RTCRtpSender, rtcpeerconnection, rtcrtpreceiver
 from aiortc.codecs.base import Decoder
+from aiortc.rtcdtlstransport import RTCDtlsTransport
 from aiortc.rtcrtpparameters import RTCRtpCodecParameters
 
-# NACKed packets older than the history are not sent again. aiortc keeps 128, which is 44 ms at 30 Mbps and less than
-# one keyframe of a panorama. A power of two, so that the slots go on when the 16 bit sequence number wraps.
-RTP_HISTORY_PACKETS = 2048
+from server.delivery.feed import FeedTrack
+from server.delivery.sender import PacketSender
+
+# What `PacketSender` overrides or calls; and the private names under which aiortc's own sender keeps what it replaces.
+_SENDER_METHODS = {"send", "stop", "getStats", "_handle_rtcp_packet", "_run_rtp", "_run_rtcp", "replaceTrack", "setTransport"}
+_TRANSPORT_METHODS = {"_send_rtp", "_register_rtp_sender", "_unregister_rtp_sender", "_get_stats"}
 
 
 def install() -> None:
-    """Apply the hooks that hold for the whole process. Idempotent.
+    """Have peer connections of this process send `FeedTrack`s by `PacketSender`, all others as ever. Idempotent.
 
     Raises:
-        RuntimeError: aiortc's sender has changed and the hooks would silently do nothing.
+        RuntimeError: aiortc has changed and the sender would fail, or silently do nothing.
     """
-    used = RTCRtpSender._run_rtp.__code__.co_names
-    if not {"uint32_add", "random32", "RTP_HISTORY_SIZE"} <= set(used):
+    create = vars(rtcpeerconnection.RTCPeerConnection).get("_RTCPeerConnection__createTransceiver")
+    makes_senders = create is not None and "RTCRtpSender" in create.__code__.co_names
+    takes = list(inspect.signature(RTCRtpSender.__init__).parameters)
+    if (not makes_senders or takes != ["self", "trackOrKind", "transport"] or not set(vars(RTCRtpSender)) >= _SENDER_METHODS
+            or not set(vars(RTCDtlsTransport)) >= _TRANSPORT_METHODS):
         raise RuntimeError("aiortc's RTCRtpSender has changed, expected version 1.16")
-    module = vars(rtcrtpsender)
-    module["RTP_HISTORY_SIZE"] = RTP_HISTORY_PACKETS
-    # The sender adds a random origin to every timestamp; `uint32_add` is used for nothing else in its module. Without
-    # the origin the RTP timestamp of a frame equals `rtp_timestamp` of its light message, for every viewer.
-    module["uint32_add"] = _without_origin
+    vars(rtcpeerconnection)["RTCRtpSender"] = _make_sender
 
 
-def _without_origin(origin: int, timestamp: int) -> int:
-    return timestamp & 0xFFFFFFFF
-
-
-def on_keyframe_request(sender: RTCRtpSender, request: Callable[[], None]) -> None:
-    """Call `request` for each PLI and FIR of this viewer: aiortc's own reaction reaches only an encoder of its own.
-
-    Raises:
-        RuntimeError: aiortc's sender has changed.
-    """
-    if "_send_keyframe" not in RTCRtpSender._handle_rtcp_packet.__code__.co_names:
-        raise RuntimeError("aiortc's RTCRtpSender has changed, expected version 1.16")
-    vars(sender)["_send_keyframe"] = request
+def _make_sender(track_or_kind: MediaStreamTrack | str, transport: RTCDtlsTransport) -> RTCRtpSender:
+    if isinstance(track_or_kind, FeedTrack):
+        return PacketSender(track_or_kind, transport)
+    return RTCRtpSender(track_or_kind, transport)
 
 
 def decode_with(make_decoder: Callable[[RTCRtpCodecParameters], Decoder]) -> None:

@@ -7,8 +7,11 @@ dropped and counted until a keyframe comes. Nobody waits for anybody.
 from __future__ import annotations
 
 import asyncio
+import time
 from collections import deque
 from collections.abc import Callable
+
+from server.delivery.byte_rate import ByteRate
 
 MAX_QUEUED_FRAMES = 32      # a second at 30 fps; more would only be latency
 
@@ -30,16 +33,27 @@ class EncodedFrame:
         self.scene_revision = scene_revision        # of the scene that is seen in it
         self.payloads: list[bytes] | None = None    # RTP payloads, packed once by the first viewer that sends it
 
+    def moved_to(self, timestamp: int) -> EncodedFrame:
+        """The same frame at another time."""
+        moved = EncodedFrame(self.data, timestamp, keyframe=self.keyframe, decoded_at=self.decoded_at,
+                             scene_revision=self.scene_revision)
+        moved.payloads = self.payloads
+        return moved
+
 
 class Taker:
-    """The queue of one taker. `next_frame` has one caller."""
+    """The queue of one taker. `next_frame` has one caller.
 
-    def __init__(self, request_keyframe: Callable[[], None], *, needs_keyframe: bool = True) -> None:
+    A viewer that is being switched to another track holds two takers, which then share the event that says that something came.
+    """
+
+    def __init__(self, request_keyframe: Callable[[], None], *, needs_keyframe: bool = True,
+                 filled: asyncio.Event | None = None) -> None:
         self.delivered = 0
         self.dropped = 0
         self._request_keyframe = request_keyframe
         self._queue: deque[EncodedFrame] = deque()
-        self._filled = asyncio.Event()
+        self._filled = filled or asyncio.Event()
         self._needs_keyframe = needs_keyframe
         self._overflowed = False
 
@@ -47,6 +61,15 @@ class Taker:
         while not self._queue:
             self._filled.clear()
             await self._filled.wait()
+        return self.take()
+
+    @property
+    def head(self) -> EncodedFrame | None:
+        """The frame that `take` would return."""
+        return self._queue[0] if self._queue else None
+
+    def take(self) -> EncodedFrame:
+        """Raises IndexError when there is none."""
         self.delivered += 1
         return self._queue.popleft()
 
@@ -78,6 +101,7 @@ class FanOut:
 
     def __init__(self, *, request_keyframe: Callable[[], None], takers_changed: Callable[[], None], keyframes: bool = True) -> None:
         self.dropped = 0
+        self.rate = ByteRate()
         self._delivered_before = 0          # to takers that have left
         self._takers: set[Taker] = set()
         self._keyframes = keyframes
@@ -91,8 +115,9 @@ class FanOut:
     def delivered(self) -> int:
         return self._delivered_before + sum(taker.delivered for taker in self._takers)
 
-    def join(self) -> Taker:
-        taker = Taker(self.request_keyframe, needs_keyframe=self._keyframes)
+    def join(self, filled: asyncio.Event | None = None) -> Taker:
+        """A new taker; `filled` is set whenever it gets something."""
+        taker = Taker(self.request_keyframe, needs_keyframe=self._keyframes, filled=filled)
         self._takers.add(taker)
         self._takers_changed()
         self.request_keyframe()
@@ -105,6 +130,7 @@ class FanOut:
             self._takers_changed()
 
     def publish(self, frame: EncodedFrame) -> None:
+        self.rate.add(len(frame.data), time.monotonic())
         for taker in self._takers:
             self.dropped += taker.offer(frame)
 

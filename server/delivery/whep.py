@@ -11,15 +11,26 @@ import contextlib
 import logging
 import secrets
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import count
+from typing import Any
 
-from aiortc import RTCConfiguration, RTCPeerConnection, RTCRtpCodecCapability, RTCRtpSender, RTCSessionDescription
+from aiortc import (
+    RTCConfiguration,
+    RTCIceCandidate,
+    RTCPeerConnection,
+    RTCRtpTransceiver,
+    RTCSessionDescription,
+)
 from aiortc.exceptions import InvalidAccessError, InvalidStateError, OperationError
 
-from server.delivery import aiortc_hooks
-from server.delivery.packet_track import PacketTrack
-from server.delivery.sdp_offer import CodecError, OfferError, TrickleFragment, parse_offer
-from server.delivery.tracks import video_track
+from server.delivery import aiortc_hooks, ice
+from server.delivery.codecs import opus, with_retransmission
+from server.delivery.feed import FeedTrack
+from server.delivery.ice_fragment import Fragment, fragment_text
+from server.delivery.media_addresses import MediaAddresses
+from server.delivery.sdp_offer import CodecError, OfferError, parse_offer
+from server.delivery.subscription import Choice, PictureFeed, TrackFeed, sound_feed
 from server.stream import Stream
 
 logger = logging.getLogger(__name__)
@@ -34,25 +45,43 @@ class TooManyViewersError(RuntimeError):
     """`max_viewers` is reached."""
 
 
+class UnknownRenditionError(ValueError):
+    """The stream's ladder has no rendition of that name."""
+
+
+_numbers = count(1)
+
+
 class WhepSession:
     """One viewer's connection."""
 
-    def __init__(self, stream: Stream, closed: Callable[[WhepSession], None]) -> None:
+    def __init__(self, stream: Stream, choice: Choice, closed: Callable[[WhepSession], None]) -> None:
         self.id = secrets.token_urlsafe(24)     # the session URL is what entitles to change or end the session
-        self.etag = f'"{secrets.token_hex(8)}"'
+        self.number = next(_numbers)            # for people: the id is a secret
+        self.etag = _new_tag()
         self.stream = stream
         # An empty list, not None: None means Google's STUN server and a pause of 5 s where that cannot be reached.
         self._connection = RTCPeerConnection(RTCConfiguration(iceServers=[]))
-        self._track = PacketTrack(stream.tracks, video_track("full", "h264"), stream.delivered)
+        self._choice = choice
+        self._feeds: list[PictureFeed | TrackFeed] = []
+        self.picture: PictureFeed | None = None     # from `negotiate` on
         self._closed = closed
         self._closing: asyncio.Task[None] | None = None
-        self._adding_late: asyncio.Task[None] | None = None
+        self._username = ""                         # the viewer's, of the present generation of ICE
+        self._head = ("video", "")                  # the section whose transport carries all media
+        self._adding_late: set[asyncio.Task[None]] = set()
         self._started_at = time.monotonic()
         self._timer = asyncio.get_running_loop().call_later(CONNECT_LIMIT_S, self._not_connected)
 
     @property
     def closing(self) -> bool:
         return self._closing is not None
+
+    def describe(self) -> dict[str, Any]:
+        """The viewer as `GET /api/streams/{stream}/viewers` shows it."""
+        return {"viewer": self.number, "state": self._connection.connectionState,
+                "seconds": round(time.monotonic() - self._started_at, 1), "sound": len(self._feeds) > 1,
+                **(self.picture.describe() if self.picture is not None else {})}
 
     async def negotiate(self, offer: str) -> str:
         """Take the offer, return the answer with all our ICE candidates.
@@ -61,42 +90,81 @@ class WhepSession:
             OfferError, CodecError: the offer cannot be answered. The session is to be closed then.
         """
         parsed = parse_offer(offer)
-        transceiver = self._connection.addTransceiver(self._track, direction="sendonly")
+        stream = self.stream
+        self.picture = PictureFeed(stream.tracks, stream.rendition_names, parsed.codec, self._choice, stream.delivered)
+        video = self._send("video", self.picture)
         # Before the offer is set: aiortc chooses codecs there, else the offerer's first one, which is VP8 in browsers.
-        transceiver.setCodecPreferences(_h264_with_retransmission())
-        request_keyframe = self.stream.tracks.fanout(video_track("full", "h264")).request_keyframe
-        aiortc_hooks.on_keyframe_request(transceiver.sender, request_keyframe)
+        video.setCodecPreferences(with_retransmission(parsed.codec))
+        if parsed.sound:
+            self._send("audio", sound_feed(self.stream.tracks)).setCodecPreferences(opus())
         self._connection.on("connectionstatechange", self._state_changed)
         try:
             async with asyncio.timeout(NEGOTIATE_LIMIT_S):
                 await self._connection.setRemoteDescription(RTCSessionDescription(parsed.text, "offer"))
                 await self._connection.setLocalDescription()
         except OperationError:
-            raise CodecError("the offer has no H.264 baseline with packetization-mode=1") from None
+            raise CodecError("the offer has no H.264 baseline with packetization-mode=1, nor VP8") from None
         except TimeoutError:
             raise OfferError(f"the offer could not be answered in {NEGOTIATE_LIMIT_S:g} s") from None
         except (InvalidAccessError, InvalidStateError, ValueError, KeyError, AttributeError) as error:
             raise OfferError(f"the offer cannot be answered: {error}") from None
-        if parsed.late.candidates:
-            self._adding_late = asyncio.create_task(self._add_late(parsed.late))
-        return str(self._connection.localDescription.sdp)
+        self._username, self._head = parsed.username, parsed.head
+        self._add_late(parsed.late)
+        return parsed.complete(self._connection.localDescription.sdp)
 
-    async def add_candidates(self, fragment: TrickleFragment) -> None:
+    def _send(self, kind: str, feed: PictureFeed | TrackFeed) -> RTCRtpTransceiver:
+        self._feeds.append(feed)
+        return self._connection.addTransceiver(FeedTrack(kind, feed), direction="sendonly")
+
+    def is_present_generation(self, fragment: Fragment) -> bool:
+        """Whether the fragment belongs to the ICE credentials in use; one that names none does."""
+        return fragment.username in (None, self._username)
+
+    async def add_candidates(self, fragment: Fragment) -> None:
         """Take more of the viewer's ICE candidates. Raises OfferError."""
         with contextlib.suppress(InvalidStateError):    # closed meanwhile
+            hidden = [candidate for candidate in fragment.candidates if candidate.ip.endswith(".local")]
             try:
                 for candidate in fragment.candidates:
-                    await self._connection.addIceCandidate(candidate)
+                    if candidate not in hidden:
+                        await self._connection.addIceCandidate(candidate)
             except ValueError as error:
                 raise OfferError(f"a candidate cannot be used: {error}") from None
-            if fragment.complete:
+            if fragment.complete and not hidden:
                 await self._connection.addIceCandidate(None)
+            self._add_late(hidden)
 
-    async def _add_late(self, fragment: TrickleFragment) -> None:
+    def _add_late(self, candidates: Sequence[RTCIceCandidate]) -> None:
+        """Candidates whose name is yet to be looked up, for which nobody waits."""
+        for candidate in candidates:
+            task = asyncio.create_task(self._connection.addIceCandidate(candidate))
+            self._adding_late.add(task)
+            task.add_done_callback(self._added)
+
+    def _added(self, task: asyncio.Task[None]) -> None:
+        self._adding_late.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            logger.info("%s: a viewer's candidate cannot be used: %s", self.stream.name, error)
+
+    async def restart_ice(self, fragment: Fragment) -> str:
+        """Begin a new generation of ICE: media goes on over the old path until a new one is found.
+
+        Returns:
+            The fragment with our new credentials and candidates; `etag` is a new one.
+
+        Raises:
+            OfferError: nothing has changed then.
+        """
+        if fragment.username is None or fragment.password is None:
+            raise OfferError("the fragment has no a=ice-ufrag and a=ice-pwd, expected both for an ICE restart")
         try:
-            await self.add_candidates(fragment)
-        except OfferError as error:
-            logger.info("%s: %s", self.stream.name, error)
+            ice.restart(self._connection, fragment.username, fragment.password)
+        except (ValueError, ConnectionError) as error:
+            raise OfferError(f"ICE cannot be restarted: {str(error).lower()}") from None
+        self._username, self.etag = fragment.username, _new_tag()
+        await self.add_candidates(fragment)
+        ours = ice.description(self._connection)
+        return fragment_text(*self._head, ours.username, ours.password, ours.candidates)
 
     async def close(self, reason: str) -> None:
         """End the session. Later callers wait for the first one."""
@@ -106,9 +174,10 @@ class WhepSession:
 
     async def _close(self, reason: str) -> None:
         self._timer.cancel()
-        if self._adding_late is not None:
-            self._adding_late.cancel()
-        self._track.stop()
+        for adding in self._adding_late:
+            adding.cancel()
+        for feed in self._feeds:
+            feed.close()
         try:
             async with asyncio.timeout(CLOSE_LIMIT_S):
                 await self._connection.close()
@@ -137,13 +206,18 @@ class WhepSession:
 class WhepSessions:
     """Owner of all sessions of all streams."""
 
-    def __init__(self, max_viewers: int) -> None:
+    def __init__(self, max_viewers: int, addresses: MediaAddresses) -> None:
         aiortc_hooks.install()
+        ice.install(addresses)
         self._max_viewers = max_viewers
         self._sessions: dict[str, WhepSession] = {}
 
     def __len__(self) -> int:
         return len(self._sessions)
+
+    def of(self, stream: Stream) -> list[WhepSession]:
+        """The stream's sessions, oldest first."""
+        return [session for session in self._sessions.values() if session.stream is stream and not session.closing]
 
     def find(self, stream: str, session_id: str) -> WhepSession | None:
         session = self._sessions.get(session_id)
@@ -151,11 +225,21 @@ class WhepSessions:
             return None
         return session
 
-    async def open(self, stream: Stream, offer: str) -> tuple[WhepSession, str]:
-        """A new session and the SDP answer. Raises TooManyViewersError, OfferError, CodecError."""
+    async def open(self, stream: Stream, offer: str, rendition: str | None = None,
+                   at_most: str | None = None) -> tuple[WhepSession, str]:
+        """A new session and the SDP answer.
+
+        Args:
+            rendition: the one to send whatever happens; None: as the viewer's network allows.
+            at_most: the best one that may be sent, for a viewer that cannot decode better ones; None: the best there is.
+
+        Raises:
+            TooManyViewersError, UnknownRenditionError, OfferError, CodecError: there is no session then.
+        """
+        choice = _choice(stream.rendition_names, rendition, at_most)
         if len(self._sessions) >= self._max_viewers:
             raise TooManyViewersError(f"{self._max_viewers} viewers are connected, the setting max_viewers")
-        session = WhepSession(stream, self._forget)
+        session = WhepSession(stream, choice, self._forget)
         self._sessions[session.id] = session
         try:
             return session, await session.negotiate(offer)
@@ -164,7 +248,7 @@ class WhepSessions:
             raise
 
     async def close_stream(self, stream: Stream) -> None:
-        await self._close([session for session in self._sessions.values() if session.stream is stream])
+        await self._close(self.of(stream))
 
     async def close(self) -> None:
         await self._close(list(self._sessions.values()))
@@ -176,9 +260,14 @@ class WhepSessions:
         self._sessions.pop(session.id, None)
 
 
-def _h264_with_retransmission() -> list[RTCRtpCodecCapability]:
-    """H.264 constrained baseline first (what we encode), then baseline, then RTX."""
-    codecs = RTCRtpSender.getCapabilities("video").codecs
-    h264 = [codec for codec in codecs if codec.mimeType == "video/H264"]
-    h264.sort(key=lambda codec: codec.parameters.get("profile-level-id") != "42e01f")
-    return h264 + [codec for codec in codecs if codec.mimeType == "video/rtx"]
+def _new_tag() -> str:
+    return f'"{secrets.token_hex(8)}"'
+
+
+def _choice(names: Sequence[str], rendition: str | None, at_most: str | None) -> Choice:
+    for name in (rendition, at_most):
+        if name is not None and name not in names:
+            raise UnknownRenditionError(f"rendition is {name!r}, expected one of {', '.join(names)}")
+    if rendition is not None:
+        return Choice(names.index(rendition), names.index(rendition))
+    return Choice(names.index(at_most) if at_most is not None else 0, len(names) - 1)

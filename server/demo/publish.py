@@ -1,8 +1,8 @@
 """`mr360 publish`: feeds a video file or a picture to an RTMP or RTSP server in real time.
 
-H.264 is copied, so publishing the demo clip costs almost no processor time; anything else is encoded. Only the video
-goes out. The first time stamp is 0 and none ever jumps, not across the loop either: the pts that a receiver sees are
-seconds since the start.
+H.264 is copied, so publishing the demo clip costs almost no processor time; anything else is encoded. Sound goes out beside copied
+video as it is, if the server's protocol carries its codec. The first time stamp of the video is 0 and none ever jumps, not across
+the loop either: the pts that a receiver sees are seconds since the start.
 """
 
 from __future__ import annotations
@@ -20,11 +20,15 @@ from typing import Any, Protocol, TypeAlias
 from urllib.parse import urlsplit
 
 import av
+from av.audio.stream import AudioStream
 from av.container import InputContainer, OutputContainer
 from av.video.frame import PictureType
 from av.video.stream import VideoStream
 
 FORMATS = {"rtmp": "flv", "rtmps": "flv", "rtsp": "rtsp", "rtsps": "rtsp"}
+_G711 = ("pcm_alaw", "pcm_mulaw")
+SOUND_CODECS = {"flv": ("aac", "mp3", "mp3float", *_G711), "rtsp": ("aac", "libopus", "mp3", "mp3float", "opus", *_G711)}
+LONGEST_WAIT = 100_000  # microseconds for which the muxer keeps video back when sound is missing
 RETRY_PAUSE_S = 1.0
 STOP_WITHIN_S = 2
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -85,7 +89,8 @@ def publish(file: Path, url: str, loop: bool, stop: threading.Event) -> None:
 def _send(feed: _Feed, url: str, loop: bool, stop: threading.Event) -> None:
     name = FORMATS[urlsplit(url).scheme]
     # Without flush_packets the end of a frame waits in a buffer for the next frame.
-    options = {"rtsp_transport": "tcp"} if name == "rtsp" else {"flush_packets": "1"}
+    options = {"max_interleave_delta": str(LONGEST_WAIT)}
+    options |= {"rtsp_transport": "tcp"} if name == "rtsp" else {"flush_packets": "1"}
     with av.open(url, "w", format=name, options=options) as output:
         feed.prepare(output)
         started = 0.0
@@ -118,37 +123,58 @@ def _feed(source: InputContainer, file: Path) -> _Feed:
 
 
 class _Copied:
+    """Video and sound as they are. The video's length is the loop's: sound that is longer loses its end."""
+
     def __init__(self, source: InputContainer, stream: VideoStream) -> None:
         self._source, self._stream = source, stream
-        self._sent = stream
+        best = source.streams.best("audio", related=stream)
+        self._sound = best if isinstance(best, AudioStream) else None
+        self._sent: dict[int, VideoStream | AudioStream] = {}
 
     def prepare(self, output: OutputContainer) -> None:
-        self._sent = output.add_stream_from_template(self._stream)
+        self._sent = {self._stream.index: output.add_stream_from_template(self._stream)}
+        if self._sound is None:
+            return
+        codec = self._sound.codec.name
+        if codec in SOUND_CODECS[output.format.name]:
+            self._sent[self._sound.index] = output.add_stream_from_template(self._sound)
+        else:
+            print(f"mr360 publish: sound codec {codec!r} is left out, expected one of "
+                  f"{', '.join(SOUND_CODECS[output.format.name])}", file=sys.stderr, flush=True)
 
     def packets(self, loop: bool) -> Iterator[Packet]:
         base = self._stream.time_base
-        rate = self._stream.average_rate or Fraction(30)
         if base is None:
             raise PublishError(f"file {self._source.name!r} has no time base, expected a video")
-        spacing = round(1 / (rate * base))
-        first: int | None = None
-        offset = 0
+        spacing = 1 / (self._stream.average_rate or Fraction(30))
+        first: Fraction | None = None
+        offset = Fraction(0)        # all in seconds
+        ends = dict.fromkeys(self._sent, Fraction(0))
         while True:
-            end = 0
-            for packet in self._source.demux(self._stream):
+            for packet in self._source.demux([self._source.streams[index] for index in self._sent]):
                 if packet.dts is None or packet.pts is None:
                     continue
-                if first is None:
-                    first = packet.dts
+                index, is_video = packet.stream_index, packet.stream_index == self._stream.index
+                if first is None and is_video:
+                    first = packet.dts * base
                     offset = -first
-                packet.pts, packet.dts = packet.pts + offset, packet.dts + offset
-                end = max(end, packet.dts + (packet.duration or spacing))
-                packet.stream = self._sent
-                yield packet
+                start = packet.dts * packet.time_base + offset
+                if first is None or (start < ends[index] and not is_video):
+                    continue        # sound before the first picture, or what the last turn's sound has covered
+                ends[index] = max(ends[index], start + ((packet.duration or 0) * packet.time_base or spacing))
+                yield self._moved(packet, offset)
             if not loop or first is None:
                 return
             self._source.seek(0)
-            offset = end - first
+            offset = ends[self._stream.index] - first
+
+    def _moved(self, packet: Packet, offset: Fraction) -> Packet:
+        assert packet.pts is not None
+        assert packet.dts is not None
+        by = round(offset / packet.time_base)
+        packet.pts, packet.dts = packet.pts + by, packet.dts + by
+        packet.stream = self._sent[packet.stream_index]
+        return packet
 
 
 class _Encoded:

@@ -16,9 +16,9 @@ from server.assets import (
     AssetTooLargeError,
     DuplicateAssetError,
 )
+from server.routes.content_negotiation import media_type
 from server.routes.dependencies import ServiceDep
 from server.routes.problems import Problem, shown
-from server.routes.strict_json import media_type
 
 GLB_TYPES = ("model/gltf-binary", "application/octet-stream")
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from http import HTTPStatus
 from typing import Any
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Depends, Response
 from prometheus_client import CONTENT_TYPE_LATEST
 
+from server.routes.access import check_view
 from server.routes.dependencies import ServiceDep
 from server.routes.problems import Problem
 
@@ -31,6 +32,6 @@ async def readyz(service: ServiceDep) -> dict[str, Any]:
     return {"status": "ready", "streams": [stream.name for stream in service.streams]}
 
 
-@router.get("/metrics", response_class=Response)
+@router.get("/metrics", response_class=Response, dependencies=[Depends(check_view)])
 async def metrics(service: ServiceDep) -> Response:
     return Response(service.metrics.exposition(service.streams), media_type=CONTENT_TYPE_LATEST)

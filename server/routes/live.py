@@ -13,14 +13,18 @@ from fastapi import APIRouter, Depends, WebSocket, WebSocketDisconnect
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from renderer.scene import Id, Rotation, Scale, SceneObject, Vector
+from server.auth import Right
 from server.event_outbox import Event, EventOutbox
 from server.live_scene import UnknownObjectError
+from server.routes.access import AccessDep
 from server.routes.dependencies import ServiceDep, StreamDep
 from server.routes.problems import Problem, describe_error, shown
 from server.routes.strict_json import parse_json
 from server.stream import Stream
 
 router = APIRouter(prefix="/api/streams/{stream}", tags=["live"])
+
+_NOT_ALLOWED: Event = {"type": "error", "detail": "the token may not control the stream"}
 
 
 class Transform(BaseModel):
@@ -49,7 +53,7 @@ def check_origin(websocket: WebSocket, service: ServiceDep) -> None:
 @router.get("/lights")
 async def get_lights(stream: StreamDep) -> dict[str, Any]:
     """The newest detection."""
-    lights = await stream.newest_lights()
+    lights = await stream.lights.of_a_frame_now()
     if lights is None:
         raise Problem(HTTPStatus.SERVICE_UNAVAILABLE, f"no frame has been processed yet, the stream is {stream.state}",
                       headers={"Retry-After": "1"})
@@ -57,10 +61,10 @@ async def get_lights(stream: StreamDep) -> dict[str, Any]:
 
 
 @router.websocket("/lights", dependencies=[Depends(check_origin)])
-async def watch_lights(websocket: WebSocket, stream: StreamDep) -> None:
+async def watch_lights(websocket: WebSocket, stream: StreamDep, access: AccessDep) -> None:
     """One light message per processed frame; a slow client gets the newest."""
-    await websocket.accept()
-    with stream.light_subscription() as mailbox:
+    await websocket.accept(access.subprotocol)
+    with stream.lights.subscription() as mailbox:
 
         async def send() -> None:
             while True:
@@ -70,16 +74,17 @@ async def watch_lights(websocket: WebSocket, stream: StreamDep) -> None:
 
 
 @router.websocket("/events", dependencies=[Depends(check_origin)])
-async def watch_events(websocket: WebSocket, stream: StreamDep) -> None:
-    """The present state, then every change of it. Takes `Transform` messages."""
-    await websocket.accept()
+async def watch_events(websocket: WebSocket, stream: StreamDep, access: AccessDep) -> None:
+    """The present state, then every change of it. Takes `Transform` messages of those who may control."""
+    await websocket.accept(access.subprotocol)
+    may_control = access.has(Right.CONTROL, stream.name)
     with stream.event_subscription() as outbox:
 
         async def send() -> None:
             while True:
                 await websocket.send_text(json.dumps(await outbox.get(), separators=(",", ":")))
 
-        await _until_one_ends(send(), _take_transforms(websocket, stream, outbox))
+        await _until_one_ends(send(), _take_transforms(websocket, stream, outbox, may_control))
 
 
 async def _until_one_ends(*steps: Awaitable[None]) -> None:
@@ -100,9 +105,9 @@ async def _discard_incoming(websocket: WebSocket) -> None:
         pass
 
 
-async def _take_transforms(websocket: WebSocket, stream: Stream, outbox: EventOutbox) -> None:
+async def _take_transforms(websocket: WebSocket, stream: Stream, outbox: EventOutbox, may_control: bool) -> None:
     while (message := await websocket.receive())["type"] != "websocket.disconnect":
-        error = _apply_transform(message.get("text"), stream)
+        error = _apply_transform(message.get("text"), stream) if may_control else _NOT_ALLOWED
         if error is not None:
             outbox.put(error)
 

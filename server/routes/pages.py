@@ -9,6 +9,7 @@ from importlib.resources import files
 from fastapi import APIRouter, Request, Response
 
 from server.routes.api_reference import STYLE, STYLE_PATH, api_reference
+from server.routes.content_negotiation import accepts
 from server.routes.dependencies import ServiceDep
 from server.routes.problems import Problem, shown
 from server.service import Service
@@ -75,26 +76,6 @@ def _stream_page(name: str, stream: str, request: Request, service: Service) -> 
     page.status_code = HTTPStatus.NOT_FOUND
     page.headers.update(vary)
     return page
-
-
-def accepts(accept: str, media_type: str) -> bool:
-    """Whether an Accept header (RFC 9110 section 12.5.1) takes the media type; an empty one takes everything."""
-    qualities: dict[str, float] = {}
-    for media_range in accept.lower().split(","):
-        name, *parameters = (part.strip() for part in media_range.split(";"))
-        quality = next((_number(value[2:]) for value in parameters if value.startswith("q=")), 1.0)
-        qualities[name] = max(quality, qualities.get(name, 0.0))
-    for name in (media_type, f"{media_type.partition('/')[0]}/*", "*/*"):    # the most specific one counts
-        if name in qualities:
-            return qualities[name] > 0
-    return not accept.strip()
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return 1.0
 
 
 def _web_file(name: str) -> Response:

@@ -14,6 +14,7 @@ from pydantic import ValidationError
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
+from starlette.routing import Match, Route
 
 logger = logging.getLogger(__name__)
 
@@ -75,7 +76,16 @@ async def _http_exception(request: Request, error: Exception) -> Response:
             HTTPStatus.NOT_FOUND: f"no resource {request.url.path!r}",
             HTTPStatus.METHOD_NOT_ALLOWED: f"{request.method} is not allowed on {request.url.path!r}",
         }.get(HTTPStatus(error.status_code), detail)
-    return problem_response(error.status_code, detail, headers=error.headers, **members)
+    headers = dict(error.headers or {})
+    if error.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
+        headers["Allow"] = ", ".join(sorted(_methods(request)))
+    return problem_response(error.status_code, detail, headers=headers, **members)
+
+
+def _methods(request: Request) -> set[str]:
+    """Of every route with this path; Starlette tells those of the first one only."""
+    return {method for route in request.app.state.routes
+            if isinstance(route, Route) and route.matches(request.scope)[0] != Match.NONE for method in route.methods or ()}
 
 
 async def _validation_error(request: Request, error: Exception) -> Response:

@@ -8,12 +8,14 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Response
 from pydantic import BaseModel, ConfigDict, Field
 
+from server.auth import Right
+from server.routes.access import AccessDep
 from server.routes.dependencies import ServiceDep, StreamDep
 from server.routes.problems import Problem, shown
 from server.routes.strict_json import StrictJsonRoute
 from server.service import Service
+from server.snapshots import SnapshotError
 from server.source_url import SourceUrlError
-from server.stream import SnapshotError
 from server.streams import LIVE, DuplicateStreamError, TooManyStreamsError
 
 router = APIRouter(prefix="/api/streams", tags=["streams"], route_class=StrictJsonRoute)
@@ -35,9 +37,9 @@ class StreamPatch(BaseModel):
 
 
 @router.get("")
-async def list_streams(service: ServiceDep) -> list[dict[str, Any]]:
-    """All streams."""
-    return [stream.description() for stream in service.streams]
+async def list_streams(service: ServiceDep, access: AccessDep) -> list[dict[str, Any]]:
+    """All streams that the client may view."""
+    return [stream.description() for stream in service.streams if access.has(Right.VIEW, stream.name)]
 
 
 @router.post("", status_code=201)
@@ -97,6 +99,13 @@ async def stats(stream: StreamDep) -> dict[str, Any]:
     their reasons. `light_interval` is the mean number of frames to a reading of the light.
     """
     return stream.stats()
+
+
+@router.get("/{stream}/viewers")
+async def viewers(stream: StreamDep, service: ServiceDep) -> list[dict[str, Any]]:
+    """Who watches: rendition, codec, what the viewer's receiver reports (`fraction_lost` of the last second, round-trip time, its
+    own `estimate_bps` of its bandwidth), what was sent, sent again, asked for, and lost to slowness (`dropped`)."""
+    return [session.describe() for session in service.whep.of(stream)]
 
 
 async def _checked(source: str | None, service: Service) -> str | None:

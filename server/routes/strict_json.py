@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 from fastapi import Request, Response
 from fastapi.routing import APIRoute
 
+from server.routes.content_negotiation import media_type
 from server.routes.problems import Problem, shown
 
 MAX_BODY_BYTES = 2 << 20
@@ -35,10 +36,6 @@ def parse_json(text: bytes | str) -> Any:
 
 def _refuse_constant(name: str) -> NoReturn:
     raise ValueError(f"{name} is no JSON value")
-
-
-def media_type(request: Request) -> str:
-    return request.headers.get("content-type", "").partition(";")[0].strip().lower()
 
 
 class _StrictRequest(Request):

@@ -16,7 +16,8 @@ from renderer.gl import Context, GLUnavailableError
 from renderer.pipeline import Pipeline
 from server.worker.messages import Message, ProtocolError, encode_message, receive_message
 from server.worker.named_thread import NamedThread
-from server.worker.render_loop import RenderLoop, warm_up
+from server.worker.render_loop import RenderLoop
+from server.worker.warm_up import warm_up
 
 logger = logging.getLogger(__name__)
 EXIT_FATAL = 3

@@ -1,30 +1,29 @@
-"""The encode thread: composited pictures in, H.264 access units out. One encoder for all viewers of a stream."""
+"""The encode thread of one track: composited pictures in, packets out. One encoder for all who take the track."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from fractions import Fraction
+from typing import ClassVar, NamedTuple, Protocol
 
-import av
-from av.video.codeccontext import VideoCodecContext
-from av.video.frame import PictureType, VideoFrame
+from av.video.frame import VideoFrame
 
+from renderer.color import YuvFormat
 from renderer.frame import YuvFrame
+from server.worker.h264 import H264Encoder, default_bitrate
 from server.worker.named_thread import NamedThread
 from server.worker.newest import Newest
+from server.worker.scaler import Scaler
+from server.worker.statistics import TrackStatistics
+from server.worker.vp8 import Vp8Encoder
 
-CLOCK_RATE = 90_000
-KEYFRAME_INTERVAL_S = 2.0
-FINEST_QP = 16           # finer steps would spend what is left of the bitrate on the camera's noise
-SINGLE_THREAD_PIXELS = 2300 * 1150
 MIN_KEYFRAME_DISTANCE_S = 0.5      # between two keyframes on request
 
 
 @dataclass(frozen=True)
 class Composited:
-    """A picture on its way to the encoder; `timestamp` is in units of 1 / 90000 s, `video` the frame that the planes lie in."""
+    """A picture on its way to the encoders; `timestamp` is in units of 1 / 90000 s, `video` the frame that the planes lie in."""
 
     picture: YuvFrame
     video: VideoFrame
@@ -36,102 +35,104 @@ class Composited:
     revision: int = 0       # of the scene in it
 
 
+class Plan(NamedTuple):
+    """What an encoder is to make of the pictures."""
+
+    size: tuple[int, int]
+    fps: int
+    bitrate_bps: int
+
+
+class VideoEncoder(Protocol):
+    COLOURS: ClassVar[YuvFormat | None]     # matrix and range that it takes; None: any
+
+    def __init__(self, size: tuple[int, int], fps: float, bitrate_bps: int, layout: YuvFormat) -> None: ...
+
+    def encode(self, frame: VideoFrame, timestamp: int, *, keyframe: bool) -> list[tuple[bytes, bool]]: ...
+
+
+ENCODERS: dict[str, type[VideoEncoder]] = {"h264": H264Encoder, "vp8": Vp8Encoder}
 OnPacket = Callable[[bytes, bool, Composited], None]
+Planner = Callable[[tuple[int, int]], Plan]     # by the size of the full picture
 
 
-def default_bitrate(width: int, height: int) -> int:
-    """Bits per second by geometry: 12 Mbps at 2048x1024, 30 Mbps at 3840x1920, in between and beyond by a power law."""
-    return int(12e6 * max(width * height / (2048 * 1024), 0.05) ** 0.73)
-
-
-class Encoder:
-    """libx264, constrained baseline, no delay. The level follows from the geometry; SPS and PPS stand before every IDR."""
-
-    def __init__(self, size: tuple[int, int], fps: float, bitrate_bps: int, *, bt709: bool, full_range: bool) -> None:
-        rate = Fraction(max(1.0, fps)).limit_denominator(1001)
-        context = av.CodecContext.create("libx264", "w")
-        assert isinstance(context, VideoCodecContext)
-        context.width, context.height = size
-        context.pix_fmt = "yuv420p"
-        context.time_base = Fraction(1, CLOCK_RATE)
-        context.framerate = rate
-        context.bit_rate = bitrate_bps
-        context.gop_size = max(1, round(float(rate) * KEYFRAME_INTERVAL_S))
-        context.max_b_frames = 0
-        # a second thread costs more in switching than it saves while the renderer wants both cores, and slices cost bits
-        context.thread_count = 1 if size[0] * size[1] <= SINGLE_THREAD_PIXELS else 2
-        context.colorspace = context.color_primaries = 1 if bt709 else 6
-        context.color_trc = 1 if bt709 else 6
-        context.color_range = 2 if full_range else 1
-        context.options = {"preset": "ultrafast", "tune": "zerolatency", "profile": "baseline", "forced-idr": "1",
-                           "maxrate": str(bitrate_bps), "bufsize": str(bitrate_bps // 4),
-                           "x264-params": f"scenecut=0:qpmin={FINEST_QP}"}
-        self._context = context
-
-    def encode(self, item: Composited, *, keyframe: bool) -> list[tuple[bytes, bool]]:
-        """Access units in Annex B and whether each is a keyframe."""
-        frame = item.video
-        frame.pts = item.timestamp
-        frame.time_base = Fraction(1, CLOCK_RATE)
-        frame.pict_type = PictureType.I if keyframe else PictureType.NONE
-        return [(bytes(packet), packet.is_keyframe) for packet in self._context.encode(frame)]
+def full_plan(size: tuple[int, int], fps: float = 30.0) -> Plan:
+    """The picture as it is, at the bitrate that its geometry asks for."""
+    return Plan(size, round(fps), default_bitrate(*size))
 
 
 class EncodeThread:
-    """Encodes the newest picture; what comes faster than that is dropped before the encoder and counted."""
+    """Encodes the newest picture; what comes faster than that is dropped before the encoder and counted.
 
-    def __init__(self, on_packet: OnPacket) -> None:
+    `plan` is asked before every picture, and a new encoder made when its answer is another.
+    """
+
+    def __init__(self, on_packet: OnPacket, *, plan: Planner = full_plan, codec: str = "h264",
+                 name: str = "full/h264 enc") -> None:
         self._on_packet = on_packet
+        self._plan = plan
+        self._make = ENCODERS[codec]
         self.pictures: Newest[Composited] = Newest()
-        self.frames_encoded = 0
-        self.fps = 30.0
-        self._bitrate: int | None = None
-        self._encoder: Encoder | None = None
+        self.statistics = TrackStatistics()
+        self._scaler: Scaler | None = None
+        self._encoder: VideoEncoder | None = None
         self._key: object = None
-        self._keyframe_wanted = True
+        self._requests = 0          # counted up by others, compared with what has been served
+        self._served = 0
         self._last_keyframe = -1e9
         self._stopped = False
         self.error: BaseException | None = None
-        self._thread = NamedThread(target=self._run, name="encode", daemon=True)
+        self._thread = NamedThread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
     def request_keyframe(self) -> None:
-        self._keyframe_wanted = True
-
-    def set_bitrate(self, bps: int | None) -> None:
-        """None: by geometry."""
-        self._bitrate = bps
-
-    def bitrate(self, size: tuple[int, int]) -> int:
-        return self._bitrate or default_bitrate(*size)
+        """Make the next picture a keyframe, or, soon after another keyframe, the first one after the pause."""
+        self._requests += 1
 
     def _run(self) -> None:
         try:
             while not self._stopped:
-                item = self.pictures.take(timeout=0.5)
-                if item is not None:
-                    self._encode(item)
+                self._encode_next()
         except BaseException as error:  # the main thread reports it and ends the worker
             self.error = error
+        finally:
+            self._encoder = self._scaler = None
+
+    def _encode_next(self) -> None:
+        """In a function of its own: while the thread waits for the next picture it holds none."""
+        item = self.pictures.take(timeout=0.5)
+        if item is not None and not self._stopped:
+            self._encode(item)
 
     def _encode(self, item: Composited) -> None:
-        layout = item.picture.format
-        key = (item.picture.size, layout, self.bitrate(item.picture.size), round(self.fps))
-        if key != self._key:
-            self._encoder = Encoder(item.picture.size, self.fps, key[2], bt709=layout.matrix == "bt709",
-                                    full_range=layout.full_range)
-            self._key = key
+        started = time.monotonic()
+        self._prepare(item.picture)
         assert self._encoder is not None
-        now = time.monotonic()
-        keyframe = self._keyframe_wanted and now - self._last_keyframe >= MIN_KEYFRAME_DISTANCE_S
-        if keyframe:
-            self._keyframe_wanted = False
-            self._last_keyframe = now
-        for payload, is_keyframe in self._encoder.encode(item, keyframe=keyframe):
-            self.frames_encoded += 1
+        assert self._scaler is not None
+        requests = self._requests
+        wanted = requests != self._served and started - self._last_keyframe >= MIN_KEYFRAME_DISTANCE_S
+        packets = self._encoder.encode(self._scaler.frame(item.video), item.timestamp, keyframe=wanted)
+        for payload, is_keyframe in packets:
+            if is_keyframe:     # whatever made it one, it serves all who asked before
+                self._served, self._last_keyframe = requests, started
+            self.statistics.add((time.monotonic() - started) * 1e3, len(payload), is_keyframe=is_keyframe)
             self._on_packet(payload, is_keyframe, item)
 
-    def stop(self) -> None:
+    def _prepare(self, picture: YuvFrame) -> None:
+        plan = self._plan(picture.size)
+        key = (picture.size, picture.format, plan)
+        if key != self._key:
+            layout = self._make.COLOURS or picture.format
+            self._scaler = Scaler(picture.size, plan.size, picture.format, layout)
+            self._encoder = self._make(plan.size, plan.fps, plan.bitrate_bps, layout)
+            self._key = key
+
+    def stop(self, join_timeout: float = 2.0) -> None:
+        """Ends the thread, and its encoder with it."""
         self._stopped = True
         self.pictures.wake()
-        self._thread.join(2.0)
+        self._thread.join(join_timeout)
+
+    @property
+    def alive(self) -> bool:
+        return self._thread.is_alive()

@@ -25,9 +25,9 @@ from renderer.light.inverse_tone_mapping import radiance_from_linear
 from renderer.pipeline import Pipeline, Rendered, TouchedRadiance
 from renderer.scene import Lighting, Scene
 from server.worker.clip import ClipWriter
-from server.worker.encode import CLOCK_RATE
 from server.worker.images import PANORAMA_SUFFIXES, RADIANCE_SUFFIXES, ImageError, read_still, write_still
 from server.worker.light_message import light_message
+from server.worker.output_clock import CLOCK_RATE
 from server.worker.picture import PictureReader, output_size
 from server.worker.statistics import percentiles
 

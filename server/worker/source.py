@@ -10,12 +10,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from typing import Any, Protocol
 from urllib.parse import unquote, urlsplit
 
 import av
+from av.audio.stream import AudioStream
 from av.container import InputContainer
 from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
+
+from server.worker.sound_decoder import Heard, SoundDecoder, SoundInfo
 
 OPEN_TIMEOUT_S = 5.0
 READ_TIMEOUT_S = 5.0
@@ -31,12 +35,13 @@ class SourceError(RuntimeError):
 
 @dataclass(frozen=True)
 class Decoded:
-    """A frame, its time in the source in seconds (None: unknown), and when the decoder gave it."""
+    """A frame, its time in the source in seconds (None: unknown), when the decoder gave it, and its time on the stream's clock."""
 
     frame: VideoFrame
     pts: float | None
     decoded_at: float
     captured_at: float
+    moment: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -46,12 +51,23 @@ class SourceInfo:
     fps: float
     codec: str
     pix_fmt: str
+    audio: SoundInfo | None = None
+    no_sound: bool = False      # there is some, but it does not decode
+
+
+class Listener(Protocol):
+    """Who takes the sound. Called by the thread that iterates the frames."""
+
+    @property
+    def wanted(self) -> bool: ...
+
+    def hear(self, heard: Heard) -> None: ...
 
 
 class Source:
-    """One opened source. Iterate `frames`; close when done."""
+    """One opened source. Iterate `frames`; close when done. Sound is decoded on the way, while the listener wants it."""
 
-    def __init__(self, url: str, *, allow_files: bool) -> None:
+    def __init__(self, url: str, *, allow_files: bool, listener: Listener | None = None) -> None:
         self._path = local_path(url)
         if self._path is not None and not allow_files:
             raise SourceError(f"source {url!r} is a file, expected an rtsp, rtmp or {LISTEN_SCHEME} url")
@@ -65,6 +81,11 @@ class Source:
         self._stream: VideoStream = self._container.streams.video[0]
         self._stream.thread_type = "SLICE"  # frame threads would add a frame of delay each
         self._stream.codec_context.flags |= av.codec.context.Flags.low_delay
+        self._listener = listener
+        best = self._container.streams.best("audio", related=self._stream) if listener is not None else None
+        self._sound_stream = best if isinstance(best, AudioStream) else None
+        self._sound = SoundDecoder(self._sound_stream) if self._sound_stream is not None else None
+        self._turn_s = 0.0      # what the time of a looped file has to be put forward
 
     def _open(self) -> InputContainer:
         started = time.monotonic()
@@ -83,7 +104,13 @@ class Source:
     def info(self) -> SourceInfo:
         context = self._stream.codec_context
         rate = self._stream.average_rate or self._stream.guessed_rate or Fraction(IMAGE_FPS)
-        return SourceInfo(context.width, context.height, round(float(rate), 3), context.name, str(context.pix_fmt))
+        return SourceInfo(context.width, context.height, round(float(rate), 3), context.name, str(context.pix_fmt),
+                          audio=None if self._sound is None else self._sound.info, no_sound=self.no_sound)
+
+    @property
+    def no_sound(self) -> bool:
+        """Its sound has been given up."""
+        return self._sound is not None and self._sound.broken
 
     def frames(self) -> Iterator[Decoded]:
         """Decoded frames in real time: the network's own, a file's by its timestamps, over and over."""
@@ -94,9 +121,23 @@ class Source:
         else:
             yield from self._loop()
 
+    def _pictures(self) -> Iterator[VideoFrame]:
+        """The frames of what is in the container, whose sound is handed on as it comes between them."""
+        for packet in self._container.demux([stream for stream in (self._stream, self._sound_stream) if stream is not None]):
+            if packet.stream is self._sound_stream:
+                self._hear(packet)
+            else:
+                yield from self._stream.codec_context.decode(packet)
+
+    def _hear(self, packet: av.Packet[Any]) -> None:
+        if self._sound is None or self._listener is None or not self._listener.wanted:
+            return
+        for samples, time_s in self._sound.decode(packet):
+            self._listener.hear(Heard(samples, None if time_s is None else time_s + self._turn_s, time.monotonic()))
+
     def _live(self) -> Iterator[Decoded]:
         try:
-            for frame in self._container.decode(self._stream):
+            for frame in self._pictures():
                 yield Decoded(frame, frame.time, time.monotonic(), time.time())
         except (av.error.FFmpegError, OSError) as error:
             raise SourceError(f"source broke off: {_reason(error)}") from None
@@ -115,12 +156,12 @@ class Source:
             time.sleep(max(0.0, start + index / IMAGE_FPS - time.monotonic()))
 
     def _loop(self) -> Iterator[Decoded]:
-        start, offset, last, step = time.monotonic(), 0.0, 0.0, 1 / IMAGE_FPS
+        start, last, step = time.monotonic(), 0.0, 1 / IMAGE_FPS
         while True:
             count = 0
             try:
-                for frame in self._container.decode(self._stream):
-                    moment = offset + (frame.time if frame.time is not None else count * step)
+                for frame in self._pictures():
+                    moment = self._turn_s + (frame.time if frame.time is not None else count * step)
                     if moment > last:
                         step, last = min(moment - last, 1.0), moment
                     time.sleep(max(0.0, min(start + moment - time.monotonic(), 1.0)))
@@ -131,7 +172,7 @@ class Source:
                 raise SourceError(f"file does not decode: {_reason(error)}") from None
             if count == 0:
                 raise SourceError("file has no frames")
-            offset = last + step
+            self._turn_s = last + step
 
     def close(self) -> None:
         self._container.close()

@@ -20,15 +20,33 @@ def add_spherical_metadata(path: Path) -> None:
     """
     data = path.read_bytes()
     moov = _find(data, 0, len(data), b"moov")
-    trak = _find(data, moov + 8, len(data), b"trak")
     if moov + _size(data, moov) != len(data):
         raise ValueError(f"file {path.name!r} has data behind its movie header, expected it to be last")
+    path.write_bytes(_grown(data, moov))
+
+
+def with_spherical_metadata(beginning: bytes) -> bytes | None:
+    """The beginning of a fragmented file with the box inserted; None while its movie header is not whole yet.
+
+    Nothing in such a file counts from its beginning, apart from an index at its end. Raises ValueError when there is no track.
+    """
+    try:
+        moov = _find(beginning, 0, len(beginning), b"moov")
+    except ValueError:
+        return None
+    if len(beginning) < moov + _size(beginning, moov):
+        return None
+    return _grown(beginning, moov)
+
+
+def _grown(data: bytes, moov: int) -> bytes:
+    trak = _find(data, moov + 8, moov + _size(data, moov), b"trak")
     box = struct.pack(">I4s", 24 + len(_XML), b"uuid") + SPHERICAL_UUID + _XML
     end = trak + _size(data, trak)
     grown = bytearray(data[:end] + box + data[end:])
     for start in (moov, trak):
         struct.pack_into(">I", grown, start, _size(data, start) + len(box))
-    path.write_bytes(grown)
+    return bytes(grown)
 
 
 def _size(data: bytes, start: int) -> int:

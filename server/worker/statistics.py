@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
+from typing import Any
 
 import numpy as np
 
@@ -46,6 +47,27 @@ class RollingStatistics:
     def stages_ms(self) -> dict[str, dict[str, float]]:
         with self._lock:
             return {name: figures for name, values in self._stages.items() if (figures := percentiles(values)) is not None}
+
+
+class TrackStatistics:
+    """What one encoder has made, and its times for the last `WINDOW` frames. Written by its thread, read by the heartbeat."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._encode: deque[float] = deque(maxlen=WINDOW)
+        self.frames_encoded = self._bytes = self._keyframes = 0
+
+    def add(self, encode_ms: float, size: int, *, is_keyframe: bool) -> None:
+        with self._lock:
+            self._encode.append(encode_ms)
+            self.frames_encoded += 1
+            self._bytes += size
+            self._keyframes += is_keyframe
+
+    def report(self) -> dict[str, Any]:
+        with self._lock:
+            return {"frames_encoded": self.frames_encoded, "bytes": self._bytes, "keyframes": self._keyframes,
+                    "encode_ms": percentiles(self._encode)}
 
 
 def percentiles(values: deque[float] | list[float]) -> dict[str, float] | None:

@@ -216,13 +216,63 @@ def test_the_list_leads_to_the_viewer(open_page: Callable[..., Page], known_serv
     wait_playing(page)
 
 
-def test_a_browser_without_h264_is_told(open_page: Callable[..., Page], known_service: Service) -> None:
-    page = open_page(view(known_service), script="""
-        const capabilities = RTCRtpReceiver.getCapabilities;
-        RTCRtpReceiver.getCapabilities = (kind) => ({
-          codecs: capabilities(kind).codecs.filter((codec) => codec.mimeType !== 'video/H264'), headerExtensions: [] });
-        """)
-    wait_title(page, "No H.264 video in this browser")
+ONLY = """
+    const capabilities = RTCRtpReceiver.getCapabilities;
+    const prefer = RTCRtpTransceiver.prototype.setCodecPreferences;
+    const known = (codecs) => codecs.filter(({ mimeType }) => /video.(%s|rtx)$/i.test(mimeType));
+    RTCRtpReceiver.getCapabilities = (kind) => {
+      const { codecs } = capabilities.call(RTCRtpReceiver, kind);
+      return { codecs: kind === 'video' ? known(codecs) : codecs, headerExtensions: [] };
+    };
+    """     # what a browser without the others says of itself
+
+
+def test_a_browser_without_h264_plays_vp8(open_page: Callable[..., Page], known_service: Service) -> None:
+    page = open_page(view(known_service, "#yaw=15&pitch=22"), script=ONLY % "VP8")
+    wait_playing(page)
+    wait_title(page, "Live")
+    codecs = page.evaluate("""async () => {
+      const stats = [...(await mr360.viewer.whep.peer.getStats()).values()];
+      const codec = stats.find(({ type, kind }) => type === 'inbound-rtp' && kind === 'video').codecId;
+      return stats.find(({ id }) => id === codec).mimeType;
+    }""")
+    assert codecs == "video/VP8"
+
+
+def test_a_weak_device_gets_a_rendition_that_it_decodes(open_page: Callable[..., Page], known_service: Service) -> None:
+    """A browser that says of pictures wider than 600 pixels that they would stutter."""
+    script = """
+      const ask = navigator.mediaCapabilities.decodingInfo.bind(navigator.mediaCapabilities);
+      navigator.mediaCapabilities.decodingInfo = async (wanted) => (
+        { ...await ask(wanted), supported: true, smooth: wanted.video.width <= 600 });
+    """
+    first = open_page(view(known_service))      # without a viewer there is no picture, and no sizes are known
+    wait_playing(first)
+    full = known_service.stream()["output"]["width"]
+    page = open_page(view(known_service), script=script)
+    wait_playing(page)
+    assert page.evaluate("mr360.viewer.panorama.size[0]") == full // 2
+    assert {viewer["rendition"] for viewer in known_service.request("GET", "/api/streams/live/viewers")} == {"full", "low"}
+
+
+def test_a_browser_without_any_codec_of_ours_is_told(open_page: Callable[..., Page], known_service: Service) -> None:
+    page = open_page(view(known_service), script=ONLY % "AV1")
+    wait_title(page, "No video in this browser")
+    assert "video/AV1" in page.inner_text("#status-detail")
+
+
+def test_sound_is_off_until_a_person_turns_it_on(open_page: Callable[..., Page], known_service: Service) -> None:
+    page = open_page(view(known_service))
+    wait_playing(page)
+    wait_until(page, "!document.getElementById('sound').hidden")
+    assert page.evaluate("mr360.viewer.video.muted")
+    assert page.get_attribute("#sound", "aria-pressed") == "false"
+    page.click("#sound")
+    assert not page.evaluate("mr360.viewer.video.muted")
+    assert page.get_attribute("#sound", "aria-pressed") == "true"
+    page.keyboard.press("m")
+    assert page.evaluate("mr360.viewer.video.muted")
+    wait_playing(page)
 
 
 def test_an_insecure_page_says_that_vr_needs_https(open_page: Callable[..., Page], known_service: Service) -> None:

@@ -3,122 +3,45 @@
 from __future__ import annotations
 
 import asyncio
-import time
-from collections.abc import AsyncIterator, Callable
-from dataclasses import dataclass, field
-from fractions import Fraction
+from collections.abc import AsyncIterator
 
-import av
-import numpy as np
 import pytest
 import pytest_asyncio
-from aiortc import RTCConfiguration, RTCPeerConnection, RTCRtpReceiver, RTCRtpSender, rtcrtpreceiver, rtcrtpsender
-from aiortc.rtp import RTCP_PSFB_FIR, RtcpPsfbPacket, RtpPacket
+from aiortc import RTCRtpSender, rtcpeerconnection, rtcrtpreceiver
+from aiortc.rtp import RTCP_PSFB_FIR, RtcpPsfbPacket
+from sender_pair import Pair, access_units, connected_pair, until
 
 from server.delivery import aiortc_hooks
-from server.delivery.fanout import EncodedFrame
-from server.delivery.packet_track import PacketTrack
-from server.delivery.tracks import Tracks
-from server.delivery.whep import _h264_with_retransmission
 from server.demo.keyframe_decoder import KeyframeDecoder, is_keyframe
 
 FIRST_TIMESTAMP = 4294960000        # wraps after a few frames
-LIMIT_S = 20.0
-
-
-def access_units(count: int, keyframe_interval: int = 1) -> list[bytes]:
-    """H.264 of noise, so that one picture makes dozens of RTP packets."""
-    encoder = av.CodecContext.create("libx264", "w")
-    encoder.width, encoder.height, encoder.pix_fmt = 320, 160, "yuv420p"
-    encoder.time_base, encoder.framerate = Fraction(1, 30), Fraction(30)
-    encoder.options = {"preset": "ultrafast", "tune": "zerolatency", "qp": "10", "g": str(keyframe_interval)}
-    encoder.profile = "Baseline"
-    noise = np.random.default_rng(1)
-    units = []
-    for number in range(count):
-        frame = av.VideoFrame.from_ndarray(noise.integers(0, 256, (240, 320), np.uint8), format="yuv420p")
-        frame.pts = number
-        units += [bytes(packet) for packet in encoder.encode(frame)]
-    return units
-
-
-@dataclass
-class Pair:
-    """A sender with hooks and a receiver, connected."""
-
-    tracks: Tracks
-    sender: RTCRtpSender
-    receiver: RTCRtpReceiver
-    keyframe_requests: list[float]
-    rtp: list[RtpPacket] = field(default_factory=list)
-
-    async def send(self, unit: bytes, timestamp: int) -> None:
-        """Send one access unit and wait for its last packet: both peers share this loop, and a receiver that is not
-        served loses what its socket's buffer cannot hold."""
-        before = self._ends()
-        self.tracks.publish("full/h264", EncodedFrame(unit, timestamp, keyframe=True, decoded_at=time.monotonic()))
-        await until(lambda: self._ends() > before)
-
-    def _ends(self) -> int:
-        return sum(packet.marker for packet in self.rtp)
-
-
-async def until(condition: Callable[[], object]) -> None:
-    async with asyncio.timeout(LIMIT_S):
-        while not condition():  # noqa: ASYNC110 - the condition is aiortc's, which tells nobody
-            await asyncio.sleep(0.01)
 
 
 @pytest_asyncio.fixture
 async def pair() -> AsyncIterator[Pair]:
-    aiortc_hooks.install()
-    requests: list[float] = []
-    tracks = Tracks(request_keyframe=lambda track: None, demand_changed=lambda: None)
-    ours = RTCPeerConnection(RTCConfiguration(iceServers=[]))
-    theirs = RTCPeerConnection(RTCConfiguration(iceServers=[]))
-    try:
-        receiving = theirs.addTransceiver("video", direction="recvonly")
-        await theirs.setLocalDescription(await theirs.createOffer())
-        sending = ours.addTransceiver(PacketTrack(tracks, "full/h264", lambda seconds: None), direction="sendonly")
-        sending.setCodecPreferences(_h264_with_retransmission())
-        aiortc_hooks.on_keyframe_request(sending.sender, lambda: requests.append(time.monotonic()))
-        await ours.setRemoteDescription(theirs.localDescription)
-        await ours.setLocalDescription()
-        connected = Pair(tracks, sending.sender, receiving.receiver, requests)
-        handle = receiving.receiver._handle_rtp_packet
-
-        async def record(packet: RtpPacket, arrival_time_ms: int) -> None:
-            connected.rtp.append(packet)
-            await handle(packet, arrival_time_ms)
-
-        receiving.receiver._handle_rtp_packet = record      # type: ignore[method-assign]
-        await theirs.setRemoteDescription(ours.localDescription)
-        await until(lambda: tracks.viewers == 1)
+    async with connected_pair() as connected:
         yield connected
-    finally:
-        await ours.close()
-        await theirs.close()
 
 
 async def test_rtp_timestamps_are_the_packets_own(pair: Pair) -> None:
-    sent = [(FIRST_TIMESTAMP + 3000 * number) & 0xFFFFFFFF for number in range(6)]
+    sent = [FIRST_TIMESTAMP + 3000 * number for number in range(6)]
     for unit, timestamp in zip(access_units(6), sent, strict=True):
         await pair.send(unit, timestamp)
-    assert list(dict.fromkeys(packet.timestamp for packet in pair.rtp)) == sent
+    assert list(dict.fromkeys(packet.timestamp for packet in pair.rtp)) == [timestamp & 0xFFFFFFFF for timestamp in sent]
 
 
 async def test_pli_reaches_our_callback(pair: Pair) -> None:
     await pair.send(access_units(1)[0], 0)
     await pair.receiver._send_rtcp_pli(pair.sender._ssrc)
     await until(lambda: pair.keyframe_requests)
-    assert len(pair.keyframe_requests) == 1
+    assert (len(pair.keyframe_requests), pair.feed.reception.keyframe_requests) == (1, 1)
 
 
 async def test_fir_reaches_our_callback(pair: Pair) -> None:
     request = RtcpPsfbPacket(fmt=RTCP_PSFB_FIR, ssrc=1, media_ssrc=pair.sender._ssrc, fci=bytes(8))
     await pair.receiver._send_rtcp(request)
     await until(lambda: pair.keyframe_requests)
-    assert len(pair.keyframe_requests) == 1
+    assert (len(pair.keyframe_requests), pair.feed.reception.keyframe_requests) == (1, 1)
 
 
 async def test_nack_of_a_packet_older_than_aiortcs_own_history_is_answered(pair: Pair) -> None:
@@ -138,11 +61,15 @@ async def test_ssrcs_stay_random(pair: Pair) -> None:
     assert pair.sender._ssrc > 0
 
 
-def test_install_refuses_a_changed_aiortc(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def other(self: object, codec: object) -> None:
-        return None
+@pytest.mark.parametrize("name", ["_handle_rtcp_packet", "_run_rtp"])
+def test_install_refuses_a_changed_sender(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(RTCRtpSender, name)
+    with pytest.raises(RuntimeError, match=r"expected version 1\.16"):
+        aiortc_hooks.install()
 
-    monkeypatch.setattr(rtcrtpsender.RTCRtpSender, "_run_rtp", other)
+
+def test_install_refuses_a_connection_that_makes_its_senders_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rtcpeerconnection.RTCPeerConnection, "_RTCPeerConnection__createTransceiver", lambda self: None)
     with pytest.raises(RuntimeError, match=r"expected version 1\.16"):
         aiortc_hooks.install()
 

@@ -74,6 +74,42 @@ def test_time_stamps_start_at_0_and_run_on_across_the_loop(video: Path) -> None:
     assert packets[-1][3] - started > decoding[-1], "it came faster than real time"
 
 
+def test_sound_goes_along_across_the_loop(video: Path, tmp_path: Path) -> None:
+    """Sound that is longer than the video loses what would overlap; its time stamps stay those of the video's clock."""
+    file, rate = tmp_path / "with-sound.mp4", 44100
+    with av.open(str(video)) as given, av.open(str(file), "w") as container:
+        stream = container.add_stream_from_template(given.streams.video[0])
+        sound = container.add_stream("aac", rate=rate, layout="mono")
+        for packet in given.demux(video=0):
+            if packet.dts is not None:
+                packet.stream = stream
+                container.mux(packet)
+        for index in range(70):     # 1.63 s beside 1.5 s of video
+            frame = av.AudioFrame.from_ndarray(np.zeros((1, 1024), np.float32), format="fltp", layout="mono")
+            frame.sample_rate, frame.pts, frame.time_base = rate, index * 1024, Fraction(1, rate)
+            container.mux(sound.encode(frame))
+        container.mux(sound.encode(None))
+    url = f"rtmp://127.0.0.1:{free_port()}/live/camera"
+    process = publish(file, url, "--loop")
+    try:
+        with av.open(url, options=LISTEN, timeout=30) as container:
+            times: dict[str, list[float]] = {"video": [], "audio": []}
+            for packet in itertools.islice(container.demux(), 300):
+                if packet.dts is not None:
+                    times[packet.stream.type].append(float(packet.dts * packet.time_base))
+    finally:
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=30)
+    assert process.returncode == 0, errors
+    assert np.diff(times["video"]) == pytest.approx(1 / FPS, abs=0.002)
+    steps = np.diff(times["audio"])
+    assert times["audio"][0] < 0.3      # two B-frames before the first picture is shown
+    assert times["audio"][-1] > 3 * FRAMES / FPS
+    assert (steps > 0).all()
+    assert steps.max() < 3 * 1024 / rate
+    assert times["audio"][-1] == pytest.approx(times["video"][-1], abs=0.3)
+
+
 @pytest.mark.parametrize("kind", ["picture of odd size", "another codec"])
 def test_what_is_not_h264_is_encoded(tmp_path: Path, kind: str) -> None:
     if kind == "another codec":

@@ -79,7 +79,10 @@ def test_reference_covers_the_contract(client: httpx.Client) -> None:
         "/api/streams/{stream}/objects/{object_id}": {"get", "patch", "delete"},
         "/api/assets": {"get", "post"}, "/api/assets/{name}": {"delete"},
         "/api/streams/{stream}/lights": {"get"}, "/api/streams/{stream}/snapshot.jpg": {"get"},
-        "/api/streams/{stream}/stats": {"get"}, "/whep/{stream}": {"post", "options"},
+        "/api/streams/{stream}/stats": {"get"}, "/api/streams/{stream}/viewers": {"get"},
+        "/api/streams/{stream}/outputs": {"get", "post"},
+        "/api/streams/{stream}/outputs/{output}": {"get", "patch", "delete"}, "/api/streams/{stream}/playback": {"get"},
+        "/whep/{stream}": {"post", "options"},
         "/whep/{stream}/{session_id}": {"patch", "delete"},
         "/healthz": {"get"}, "/readyz": {"get"}, "/metrics": {"get"}}
     assert {path: set(methods) for path, methods in paths.items()} == expected

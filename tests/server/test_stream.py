@@ -15,7 +15,8 @@ from test_worker_process import PRELUDE, ROOT
 
 from server import supervisor, worker_process
 from server.metrics import Metrics, StreamMetrics
-from server.stream import SnapshotError, Stream, StreamSettings
+from server.snapshots import SnapshotError
+from server.stream import Stream, StreamSettings
 
 LIMIT_S = 60.0
 READY = 'send({"type": "ready", "renderer": "none", "gl_version": "0"})\n'
@@ -144,7 +145,7 @@ async def test_snapshots_asked_for_at_once_share_the_answer(monkeypatch: pytest.
     """)
     async with running(program, monkeypatch, tmp_path) as stream:
         await until(lambda: stream.ready)
-        with stream.light_subscription():       # frames are being made, no need to have one made
+        with stream.lights.subscription():       # frames are being made, no need to have one made
             assert await asyncio.gather(stream.snapshot(), stream.snapshot()) == [b"picture 1"] * 2
             assert await stream.snapshot() == b"picture 2"
 

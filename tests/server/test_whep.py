@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import time
 
 import httpx
@@ -101,13 +102,18 @@ async def test_a_keyframe_request_reaches_the_shared_encoder(served: Served) -> 
 async def test_trickle(served: Served, client: httpx.Client) -> None:
     async with WhepViewer(served.url) as viewer:
         line = next(line for line in viewer.connection.localDescription.sdp.splitlines() if "a=candidate:" in line)
-        fragment = f"a=ice-ufrag:x\r\nm=video 9 RTP/AVP 0\r\na=mid:0\r\n{line}\r\na=end-of-candidates\r\n"
+        username = re.search("a=ice-ufrag:(.*)", viewer.connection.localDescription.sdp)[1].strip()  # type: ignore[index]
+        fragment = f"a=ice-ufrag:{username}\r\nm=video 9 RTP/AVP 0\r\na=mid:0\r\n{line}\r\na=end-of-candidates\r\n"
         url, tag = viewer.session_url, {"If-Match": viewer.etag}
         taken = client.patch(url, content=fragment, headers=FRAGMENT_TYPE | tag)
         assert taken.status_code == 204
         assert_problem(client.patch(url, content=fragment, headers=FRAGMENT_TYPE), 428, "if-match is missing")
         assert_problem(client.patch(url, content=fragment, headers=FRAGMENT_TYPE | {"If-Match": '"old"'}), 412)
-        assert_problem(client.patch(url, content=fragment, headers=FRAGMENT_TYPE | {"If-Match": "*"}), 422, "restart")
+        assert "etag" not in taken.headers
+        every_time = client.patch(url, content=fragment, headers=FRAGMENT_TYPE | {"If-Match": "*"})     # as some clients do
+        assert every_time.status_code == 204
+        other = fragment.replace(username, "other")
+        assert_problem(client.patch(url, content=other, headers=FRAGMENT_TYPE | tag), 409, "ice-ufrag 'other'")
         assert_problem(client.patch(url, content=fragment, headers=tag | {"Content-Type": "text/plain"}), 415)
         for bad in ("hello", "a=mid:0\na=candidate:x", "a=mid:0\na=candidate:1 1 udp x 1.2.3.4 5 typ host", line):
             assert_problem(client.patch(url, content=bad, headers=FRAGMENT_TYPE | tag), 400)
@@ -130,6 +136,39 @@ def test_what_is_no_offer_is_400(client: httpx.Client, body: str) -> None:
     assert_problem(client.post("/whep/live", content=body, headers=OFFER_TYPE), 400, "the ")
 
 
+def test_other_methods_are_405_with_all_those_that_are_allowed(client: httpx.Client) -> None:
+    for path, allowed in (("/whep/live", {"GET", "HEAD", "OPTIONS", "POST"}),
+                          ("/whep/live/x", {"GET", "HEAD", "OPTIONS", "PATCH", "DELETE"})):
+        refused = client.put(path, content="x")
+        assert_problem(refused, 405, "PUT is not allowed")
+        assert set(refused.headers["allow"].split(", ")) == allowed
+
+
+async def test_what_the_client_accepts(client: httpx.Client) -> None:
+    offer = await new_offer()
+    for accept in ("application/json", "text/html, application/sdp;q=0"):
+        assert_problem(client.post("/whep/live", content=offer, headers=OFFER_TYPE | {"Accept": accept}), 406, "accept is")
+    for accept in ("application/sdp", "*/*", "text/html, application/*;q=0.5", ""):
+        taken = client.post("/whep/live", content=offer, headers=OFFER_TYPE | {"Accept": accept})
+        assert taken.status_code == 201
+        client.delete(taken.headers["location"])
+
+
+async def test_the_media_type_may_have_parameters_and_any_case(client: httpx.Client) -> None:
+    taken = client.post("/whep/live", content=await new_offer(), headers={"Content-Type": "Application/SDP; charset=utf-8"})
+    assert taken.status_code == 201
+    patched = client.patch(taken.headers["location"], content="a=mid:0\r\na=end-of-candidates", headers={
+        "Content-Type": "APPLICATION/trickle-ice-sdpfrag;x=y", "If-Match": taken.headers["etag"]})
+    assert patched.status_code == 204
+    client.delete(taken.headers["location"])
+
+
+async def test_a_rendition_that_there_is_not(client: httpx.Client) -> None:
+    for query in ("rendition=huge", "at_most=huge"):
+        refused = client.post(f"/whep/live?{query}", content=await new_offer(), headers=OFFER_TYPE)
+        assert_problem(refused, 400, "rendition is 'huge', expected one of full")
+
+
 async def test_offers_that_cannot_be_served(client: httpx.Client) -> None:
     offer = await new_offer()
     assert_problem(client.post("/whep/none", content=offer, headers=OFFER_TYPE), 404, "no stream 'none'")
@@ -138,9 +177,9 @@ async def test_offers_that_cannot_be_served(client: httpx.Client) -> None:
     assert_problem(client.post("/whep/live", content="v=0\r\n" + "a" * 70_000, headers=OFFER_TYPE), 413)
     assert_problem(client.post("/whep/live", content=await new_offer("audio"), headers=OFFER_TYPE), 400, "no video")
     assert_problem(client.post("/whep/live", content=await new_offer(direction="sendonly"), headers=OFFER_TYPE), 400)
-    for wrong in (offer.replace("H264", "H265"), offer.replace("packetization-mode=1", "packetization-mode=0")):
-        assert_problem(client.post("/whep/live", content=wrong, headers=OFFER_TYPE), 406, "H264" if "H265" in wrong else
-                       "packetization-mode=1")
+    without_vp8 = offer.replace("VP8", "AV1")
+    for wrong in (without_vp8.replace("H264", "H265"), without_vp8.replace("packetization-mode=1", "packetization-mode=0")):
+        assert_problem(client.post("/whep/live", content=wrong, headers=OFFER_TYPE), 406, "packetization-mode=1 or video/VP8")
     assert_problem(client.post("/whep/live", content=offer.replace("a=ice-ufrag", "a=x"), headers=OFFER_TYPE), 400)
     cut = offer[:len(offer) // 2]
     assert client.post("/whep/live", content=cut, headers=OFFER_TYPE).status_code in (400, 406)
@@ -158,7 +197,9 @@ async def test_capacity_and_ice_servers(tmp_path_factory: pytest.TempPathFactory
                                 headers=OFFER_TYPE | {"Origin": "https://player.example"})
             links = ['<stun:stun.example:3478>; rel="ice-server"', '<turn:turn.example:3478>; rel="ice-server"; '
                      'username="u"; credential="c"; credential-type="password"']
-            assert first.headers.get_list("link") == links
+            sockets = [f'</api/streams/live/{name}>; rel="urn:x-mr360:{name}"' for name in ("lights", "events")]
+            assert first.headers.get_list("link") == [*sockets, *links]
+            assert first.headers["cache-control"] == "no-store"
             assert client.options("/whep/live").headers.get_list("link") == links
             assert first.headers["access-control-allow-origin"] == "https://player.example"
             assert "location" in first.headers["access-control-expose-headers"].lower()
@@ -190,3 +231,20 @@ async def test_an_address_that_does_not_resolve_delays_nobody(served: Served, cl
         durations[name] = time.monotonic() - began
         assert client.delete(response.headers["location"]).status_code == 200
     assert durations["hidden"] < durations["plain"] + 0.9, durations
+
+
+async def test_a_viewer_is_listed_with_what_its_receiver_reports(served: Served, client: httpx.Client) -> None:
+    async with WhepViewer(served.url) as viewer:
+        await viewer.next_frame()
+        seen = {"rtt_ms": None}
+        while seen["rtt_ms"] is None:       # until a receiver report has come
+            await viewer.next_frame()
+            [seen] = client.get("/api/streams/live/viewers").json()
+        assert (seen["state"], seen["rendition"], seen["codec"], seen["sound"]) == ("connected", "full", "h264", False)
+        assert (seen["rtp_packets_lost"], seen["fraction_lost"], seen["dropped"]) == (0, 0.0, 0)
+        assert seen["rtp_packets_sent"] >= 1
+        assert viewer.session_url.rpartition("/")[2] not in str(seen)
+    wait_for(lambda: client.get("/api/streams/live/viewers").json() == [], "the viewer has left")
+    metrics = dict(line.rsplit(" ", 1) for line in client.get("/metrics").text.splitlines() if not line.startswith("#"))
+    assert float(metrics['mr360_rtp_packets_sent_total{stream="live"}']) >= len(viewer.rtp)
+    assert float(metrics['mr360_track_takers{stream="live",track="full/h264"}']) == 0

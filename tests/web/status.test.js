@@ -23,10 +23,10 @@ test('waiting says why, and when it tries again', () => {
   assert.match(say({ whep: whep('disconnected', 'x'), retryInS: -0.1 }).detail, /Reconnecting in 0 s/);
 });
 
-test('a browser without H.264 is told so and not to retry', () => {
-  const status = say({ whep: { state: 'unsupported', reason: 'no-h264', detail: 'this browser does not receive H.264 video' } });
+test('a browser without a video codec of ours is told so and not to retry', () => {
+  const status = say({ whep: { state: 'unsupported', reason: 'no-codec', detail: 'the server and this browser share no video codec' } });
   assert.equal(status.level, 'error');
-  assert.match(status.title, /H\.264/);
+  assert.match(status.detail, /H\.264 or VP8.*share no video codec/);
   assert.ok(!status.canRetry);
 });
 

@@ -2,7 +2,7 @@ import assert from 'node:assert/strict';
 import test from 'node:test';
 
 import { backoffMs } from '../../web/service.js';
-import { iceServersFromLink, retryAfterMs } from '../../web/whep.js';
+import { iceServersFromLink, retryAfterMs } from '../../web/whep_headers.js';
 
 test('ICE servers of a Link header', () => {
   const header = '<stun:stun.example.net>; rel="ice-server", <turn:turn.example.net?transport=udp>; rel="ice-server"; '

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from aiortc import RTCConfiguration, RTCPeerConnection
 from aiortc.rtp import RtcpRtpfbPacket, RtpPacket
+from server.delivery.packet_track import PacketTrack
 
 from server.bench import viewers, viewers_rtp
 from server.bench.service_options import one_size
@@ -20,7 +21,6 @@ from server.bench.viewers_tables import churn_lines, row_line, verdict_lines
 from server.bench.viewers_tap import Tap
 from server.delivery import aiortc_hooks
 from server.delivery.fanout import EncodedFrame
-from server.delivery.packet_track import PacketTrack
 from server.delivery.tracks import Tracks
 from server.delivery.whep import _h264_with_retransmission
 

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from renderer.color import YuvFormat
-from server.worker.encode import Composited, Encoder, EncodeThread, default_bitrate
+from server.worker.encode import Composited, EncodeThread, Plan
+from server.worker.h264 import H264Encoder, default_bitrate
 from server.worker.picture import video_frame
+from server.worker.vp8 import Vp8Encoder
 from tests.renderer.frames import noise_frame, yuv_from_linear
 
 
@@ -27,8 +29,8 @@ def test_the_bitrate_follows_the_geometry() -> None:
 
 @pytest.mark.parametrize(("size", "level"), [((640, 320), 30), ((2048, 1024), 40), ((3840, 1920), 51)])
 def test_the_stream_is_constrained_baseline_at_a_level_that_fits(size: tuple[int, int], level: int) -> None:
-    encoder = Encoder(size, 30, default_bitrate(*size), bt709=True, full_range=False)
-    units = encoder.encode(composited(size, 0), keyframe=False)
+    encoder = H264Encoder(size, 30, default_bitrate(*size), YuvFormat())
+    units = encoder.encode(composited(size, 0).video, 0, keyframe=False)
     payload, keyframe = units[0]
     assert keyframe
     start = payload.index(b"\x00\x00\x01\x67") + 3
@@ -41,9 +43,9 @@ def test_the_stream_is_constrained_baseline_at_a_level_that_fits(size: tuple[int
 @pytest.mark.parametrize("layout", [YuvFormat("bt709", False), YuvFormat("bt601", True)])
 def test_decoding_gives_the_picture_and_its_tags_back(layout: YuvFormat) -> None:
     item = composited((640, 320), 0, layout)
-    encoder = Encoder((640, 320), 30, 8_000_000, bt709=layout.matrix == "bt709", full_range=layout.full_range)
+    encoder = H264Encoder((640, 320), 30, 8_000_000, layout)
     decoder = av.CodecContext.create("h264", "r")
-    packets = [av.Packet(payload) for payload, _ in encoder.encode(item, keyframe=True)]
+    packets = [av.Packet(payload) for payload, _ in encoder.encode(item.video, 0, keyframe=True)]
     frames = [frame for packet in packets for frame in decoder.decode(packet)] + decoder.decode(None)
     assert len(frames) == 1
     assert (int(frames[0].colorspace), int(frames[0].color_range)) == (1 if layout.matrix == "bt709" else 6,
@@ -80,10 +82,11 @@ def test_a_keyframe_comes_on_request_and_requests_are_rate_limited() -> None:
 
 def test_a_change_of_bitrate_or_size_needs_no_new_thread() -> None:
     seen: list[int] = []
-    thread = EncodeThread(lambda payload, keyframe, item: seen.append(item.frame))
+    bitrates = [1_000_000]
+    thread = EncodeThread(lambda payload, keyframe, item: seen.append(item.frame), plan=lambda size: Plan(size, 30, bitrates[-1]))
     try:
         for number, size in enumerate([(128, 64), (256, 128), (128, 64)]):
-            thread.set_bitrate(1_000_000 * (number + 1))
+            bitrates.append(1_000_000 * (number + 1))
             thread.pictures.put(composited(size, number))
             deadline = time.monotonic() + 10
             while number not in seen and time.monotonic() < deadline:
@@ -96,10 +99,30 @@ def test_a_change_of_bitrate_or_size_needs_no_new_thread() -> None:
 
 def test_noise_at_full_size_stays_near_the_bitrate() -> None:
     size = (1024, 512)
-    encoder = Encoder(size, 30, 4_000_000, bt709=True, full_range=False)
+    encoder = H264Encoder(size, 30, 4_000_000, YuvFormat())
     sizes = []
     for seed in range(30):
         picture = noise_frame(size, seed)
-        units = encoder.encode(Composited(picture, video_frame(picture), seed, seed * 3000, 0.0, 0.0), keyframe=False)
+        units = encoder.encode(video_frame(picture), seed * 3000, keyframe=False)
         sizes.append(sum(len(payload) for payload, _ in units))
     assert sum(sizes[5:]) * 8 / (25 / 30) < 3 * 4_000_000
+
+
+@pytest.mark.parametrize("layout", [YuvFormat("bt709", False), YuvFormat("bt601", True)])
+def test_vp8_has_the_picture_in_the_colours_that_receivers_expect(layout: YuvFormat) -> None:
+    """VP8 has no tags: receivers take all of it for BT.601 of limited range."""
+    given, payloads = composited((640, 320), 0, layout), []
+    thread = EncodeThread(lambda payload, keyframe, item: payloads.append(payload), codec="vp8")
+    try:
+        thread.pictures.put(given)
+        deadline = time.monotonic() + 10
+        while not payloads and time.monotonic() < deadline:
+            time.sleep(0.005)
+    finally:
+        thread.stop()
+    frames = av.CodecContext.create("vp8", "r").decode(av.Packet(payloads[0]))
+    expected = composited((640, 320), 0, YuvFormat("bt601", False)).picture
+    luma = frames[0].to_ndarray()[:320].astype(int)
+    assert np.abs(luma - expected.y).mean() < 2
+    with pytest.raises(ValueError, match="expected YuvFormat"):
+        Vp8Encoder((64, 32), 30, 1_000_000, YuvFormat("bt709", False))

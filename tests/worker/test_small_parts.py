@@ -29,17 +29,35 @@ def test_a_wake_ends_the_wait() -> None:
 
 def test_the_output_clock_keeps_the_sources_spacing_under_jitter() -> None:
     clock = OutputClock(1000)
-    ticks = [clock.timestamp(index / 30, 50.0 + index / 30 + jitter) for index, jitter in enumerate([0, 0.02, -0.01, 0.03])]
+    moments = [clock.moment(index / 30, 50.0 + index / 30 + jitter) for index, jitter in enumerate([0, 0.02, -0.01, 0.03])]
+    ticks = [clock.ticks(moment) for moment in moments]
     assert ticks == [1000 + index * 3000 for index in range(4)]
     assert clock.discontinuities == 0
 
 
 def test_the_output_clock_survives_a_restart_of_the_source() -> None:
     clock = OutputClock(0)
-    first = [clock.timestamp(100 + index / 30, index / 30) for index in range(30)]
-    again = [clock.timestamp(index / 30, 5 + index / 30) for index in range(30)]
+    first = [clock.ticks(clock.moment(100 + index / 30, index / 30)) for index in range(30)]
+    again = [clock.ticks(clock.moment(index / 30, 5 + index / 30)) for index in range(30)]
     assert again[0] - first[-1] == pytest.approx(4 * CLOCK_RATE, abs=CLOCK_RATE / 10)
     assert clock.discontinuities == 1
+
+
+def test_sound_moves_with_the_pictures() -> None:
+    """Whatever the source's time does, what was captured together stands together; sound waits for a picture to tie it."""
+    clock = OutputClock(9000)
+    assert clock.sound_moment(100.0, 7.0) is None
+    assert clock.moment(100.0, 7.0) == 0.0
+    assert clock.sound_moment(100.25, 7.0) == 0.25
+    clock.moment(3.0, 8.0)      # the source's time has jumped
+    moment = clock.sound_moment(3.0, 8.1)
+    assert moment == 1.0
+    assert clock.sound_ticks(moment) == clock.ticks(moment) * 8 / 15 == (9000 + 90_000) * 8 / 15
+    assert clock.sound_moment(103.0, 8.1) is None, "from before the jump"
+    clock.new_source()
+    assert clock.sound_moment(3.2, 8.2) is None
+    clock.moment(3.2, 8.2)
+    assert clock.sound_moment(3.2, 8.2) == pytest.approx(1.2)
 
 
 @given(st.lists(st.tuples(st.one_of(st.none(), st.floats(-1e6, 1e6)), st.floats(0, 0.5)), min_size=2, max_size=50))
@@ -48,7 +66,7 @@ def test_the_output_clock_never_goes_back(steps: list[tuple[float | None, float]
     now, last = 100.0, 7 - MIN_STEP
     for pts, step in steps:
         now += step
-        ticks = clock.timestamp(pts, now)
+        ticks = clock.ticks(clock.moment(pts, now))
         assert ticks >= last + MIN_STEP
         last = ticks
 

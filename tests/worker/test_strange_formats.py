@@ -10,7 +10,7 @@ import pytest
 from av.video.frame import VideoFrame
 
 from renderer.gl import Context
-from server.worker import render_loop
+from server.worker import compositor
 from server.worker.render_loop import RenderLoop
 from server.worker.source import Decoded
 
@@ -24,7 +24,7 @@ def decoded(pix_fmt: str) -> Decoded:
 
 def test_a_format_that_cannot_be_converted_is_reported_and_does_not_end_the_worker(monkeypatch: pytest.MonkeyPatch) -> None:
     sent: list[dict[str, Any]] = []
-    monkeypatch.setattr(render_loop, "warm_up", lambda *_: None)     # nothing is drawn here
+    monkeypatch.setattr(compositor, "warm_up", lambda *_: None)     # nothing is drawn here
     context = Context()
     loop = RenderLoop({"stream": "live"}, context, SimpleQueue(), lambda message, _: sent.append(message))
     loop._heart.start()

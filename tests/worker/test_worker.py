@@ -2,61 +2,19 @@
 
 from __future__ import annotations
 
-import socket
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import av
 import numpy as np
 import pytest
 from PIL import Image
 
-from server.worker.messages import encode_message, receive_message
+from tests.worker.real_worker import RealWorker
 
 WIDTH, HEIGHT = 512, 256
-LIMIT_S = 60.0
 SCENE = {"objects": [{"id": "box", "mesh": "box", "position": [0, -0.6, -2], "scale": [2, 2, 2],
                       "material": {"base_color": [0.9, 0.05, 0.05], "metallic": 0, "roughness": 0.8}}]}
-
-
-class RealWorker:
-    """`python -m server.worker` with one viewer, on a still picture that is shown 30 times a second."""
-
-    def __init__(self, picture: Path) -> None:
-        self._socket, theirs = socket.socketpair()
-        self._socket.settimeout(LIMIT_S)
-        self._process = subprocess.Popen([sys.executable, "-m", "server.worker", "--fd", str(theirs.fileno())],
-                                         pass_fds=[theirs.fileno()])
-        theirs.close()
-        self.send({"type": "start", "stream": "live", "source": str(picture), "allow_files": True, "scene": {}, "revision": 0})
-        self.send({"type": "demand", "tracks": ["full/h264"], "lights": 0})
-        self._decoder = av.CodecContext.create("h264", "r")
-
-    def send(self, message: dict[str, Any]) -> None:
-        self._socket.sendall(encode_message(message))
-
-    def pictures(self) -> Iterator[tuple[int, np.ndarray[Any, np.dtype[np.uint8]]]]:
-        """Frame numbers and (height, width, 3) pictures as they come."""
-        while True:
-            message, payload = receive_message(self._socket)
-            if message["type"] == "packet":
-                for frame in self._decoder.decode(av.Packet(payload)):
-                    yield int(message["frame"]), frame.to_ndarray(format="rgb24")
-
-    def light_methods(self) -> Iterator[str]:
-        """The method of each light message as it comes."""
-        while True:
-            message, _ = receive_message(self._socket)
-            if message["type"] == "lights":
-                yield str(message["message"]["method"])
-
-    def stop(self) -> None:
-        self.send({"type": "stop"})
-        assert self._process.wait(LIMIT_S) == 0
-        self._socket.close()
 
 
 @pytest.fixture
