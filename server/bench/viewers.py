@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from server.bench.machine import machine_figures
-from server.bench.service_options import BAD_INPUT, Parser, counts, one_size, seconds
+from server.bench.service_options import BAD_INPUT, Parser, bitrate, counts, one_count, one_size, seconds
 from server.bench.service_processes import ProcessGoneError
 from server.bench.service_run import READY_WITHIN_S, Report, Served, Show, measure_watched, start_service
 from server.bench.viewers_process import SUMMED
@@ -189,10 +189,10 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--counts", type=counts, help=f"of viewers, default {','.join(map(str, COUNTS))}")
     parser.add_argument("--seconds", type=seconds, help="measured with each count, default 20")
     parser.add_argument("--warm-up", type=seconds, default=5.0, help="seconds before that, default 5")
-    parser.add_argument("--guests", type=int, default=20, help="who come and go while others watch, default 20")
+    parser.add_argument("--guests", type=one_count, default=20, help="who come and go while others watch, default 20")
     parser.add_argument("--size", type=one_size, help="of the camera's picture, default 2048x1024")
     parser.add_argument("--fps", type=int, help="of the camera, default 30")
-    parser.add_argument("--bitrate", type=int, default=10_000_000, help="of the full rendition in bit/s, default 10000000")
+    parser.add_argument("--bitrate", type=bitrate, default=10_000_000, help="of the full rendition in bit/s, default 10000000")
     parser.add_argument("--json", type=Path, metavar="FILE", help="where to write the figures")
     options = parser.parse_args(arguments)
     quick = {"counts": QUICK_COUNTS, "seconds": 5.0, "size": "512x256", "fps": 10}

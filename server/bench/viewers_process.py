@@ -41,7 +41,8 @@ class Counted:
         """Make the session. Raises ViewerError."""
         self._began_at = time.monotonic()
         await self._viewer.start()
-        self._tap = Tap(self._viewer.peer, self.count)
+        peer = self._viewer.peer
+        self._tap = Tap(peer.getTransceivers()[0].receiver, peer.remoteDescription.sdp, self.count)
 
     @property
     def join_ms(self) -> float | None:
