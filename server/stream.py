@@ -10,14 +10,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from server.delivery.fanout import EncodedFrame
-from server.delivery.tracks import AUDIO, Tracks, video_track
+from server.delivery.tracks import Tracks, video_track
 from server.event_outbox import Event, EventOutbox
 from server.light_feed import LightFeed
 from server.live_scene import LiveScene
 from server.metrics import StreamMetrics
 from server.outputs.stream_outputs import StreamOutputs
 from server.percentiles import Percentiles
-from server.renditions import CODECS, LADDER, Rendition
+from server.renditions import AUDIO, CODECS, LADDER, Rendition
 from server.snapshots import Snapshots
 from server.source_url import is_file_source, masked
 from server.supervisor import Supervisor

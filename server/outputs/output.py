@@ -12,9 +12,10 @@ from datetime import UTC, datetime
 from typing import Any, Protocol
 
 from server.delivery.fanout import EncodedFrame
-from server.delivery.tracks import AUDIO, Tracks, video_track
+from server.delivery.tracks import Tracks, video_track
 from server.outputs.process import SILENCE_LIMIT_S, OutputProcess
 from server.outputs.spec import OutputSpec
+from server.renditions import AUDIO
 from server.worker.messages import Message
 
 logger = logging.getLogger(__name__)

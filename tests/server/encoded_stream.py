@@ -14,7 +14,8 @@ import numpy as np
 
 from renderer.color import YuvFormat
 from server.delivery.fanout import EncodedFrame
-from server.delivery.tracks import AUDIO, Tracks
+from server.delivery.tracks import Tracks
+from server.renditions import AUDIO
 from server.worker.h264 import H264Encoder
 from server.worker.picture import FramePool
 
