@@ -7,7 +7,7 @@ PYTEST_ARGS ?=
 MAPS ?=
 
 .PHONY: help demo test lint check-python check-web e2e bench bench-gpu bench-light bench-presets bench-service bench-truth soak fuzz \
-	setup setup-test setup-truth lock clean
+	bench-viewers bench-latency bench-networks setup setup-test setup-truth lock clean
 
 help: ## show the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 16
@@ -72,6 +72,15 @@ bench-gpu: setup ## stage times by GL timer queries, 2048x1024 to 7680x3840; ARG
 
 bench-service: setup ## the whole service beside a plain transcode, by size, objects, triangles, lamps and viewers; ARGS="--quick --json FILE"
 	$(BIN)/python -m server.bench.service $(ARGS)
+
+bench-viewers: setup ## what a further WebRTC viewer costs and what each one gets; ARGS="--counts 1,20 --json FILE"
+	$(BIN)/python -m server.bench.viewers $(ARGS)
+
+bench-latency: setup-test ## camera to screen in Chromium, by a time code in the picture; ARGS="--seconds 30 --json FILE"
+	$(BIN)/python -m server.bench.latency $(ARGS)
+
+bench-networks: setup-test ## Chromium behind loss, delay, an outage and a narrow link at full size; needs root
+	MR360_NETWORKS=full $(BIN)/python -m pytest -rA tests/e2e/test_bad_networks.py $(PYTEST_ARGS)
 
 soak: setup ## memory of the service while its scene, methods and viewers change; ARGS="--minutes 10"
 	$(BIN)/python -m server.bench.service_soak $(ARGS)

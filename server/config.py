@@ -17,6 +17,7 @@ from pydantic_core import ErrorDetails
 from server.auth import Token
 from server.network_settings import OWN, EdgeUrl, IceServer, PortRange, Turn, comma_separated, resolved
 from server.outputs.spec import ConfiguredOutput, ConfiguredPlayback
+from server.renditions import LADDER, Rendition
 from server.source_url import IpNetwork, SourceUrlError, check_command_line_source
 
 ENVIRONMENT_PREFIX = "MR360_"
@@ -24,10 +25,11 @@ JSON_SETTINGS = {
     "ice_servers": "a JSON list of objects with url, username, credential",
     "turn": "a JSON object with urls, secret, ttl_s",
     "tokens": "a JSON list of objects with token, may, streams",
-    "outputs": "a JSON list of objects",
-    "playback": "a JSON list of objects with protocol, url",
+    "outputs": "a JSON list of objects with id, url, kind, …",
+    "renditions": "a JSON list of objects with name, scale, bitrate_bps",
+    "playback": "a JSON list of objects with protocol, url, …",
 }
-SECRET_SETTINGS = ("turn", "tokens", "outputs", "playback")     # their values are never shown, not even when they are wrong
+SECRET_SETTINGS = ("turn", "tokens", "outputs")     # their values are never shown, not even when they are wrong
 
 
 class ConfigError(ValueError):
@@ -52,6 +54,8 @@ class Settings(BaseModel):
     max_streams: Annotated[int, Field(ge=1, le=64)] = 4
     require_gpu: bool = False
     bitrate_bps: Annotated[int, Field(ge=100_000, le=200_000_000)] | None = None    # None: by geometry
+    renditions: Annotated[tuple[Rendition, ...], Field(min_length=1, max_length=6)] = LADDER
+    """The ladder that viewers move on, best first; each rung is encoded while somebody watches it."""
     source_networks: Annotated[tuple[IpNetwork, ...], BeforeValidator(comma_separated)] | None = None
     """Networks outside the public internet that a source given over REST may lie in. None: any, as long as the
     service itself listens on loopback only; otherwise none."""
@@ -84,6 +88,17 @@ class Settings(BaseModel):
     @classmethod
     def _absolute(cls, value: Path) -> Path:
         return value.expanduser().absolute()
+
+    @field_validator("renditions")
+    @classmethod
+    def _a_ladder(cls, value: tuple[Rendition, ...]) -> tuple[Rendition, ...]:
+        names, scales = [rung.name for rung in value], [rung.scale for rung in value]
+        if len(set(names)) < len(names):
+            raise ValueError(f"renditions are named {', '.join(names)}, expected different names")
+        if scales != sorted(scales, reverse=True):
+            given = ", ".join(f"{scale:g}" for scale in scales)
+            raise ValueError(f"renditions have the scales {given}, expected the largest first")
+        return value
 
     @field_validator("allowed_origins")
     @classmethod
@@ -185,7 +200,7 @@ def _from_file(path: Path) -> dict[str, Any]:
 def _first_error(error: ErrorDetails, places: Mapping[str, Mapping[str, Any]]) -> str:
     name = str(error["loc"][0]) if error["loc"] else "outputs"      # a rule about several settings: all of these are
     place = next((place for place, values in places.items() if name in values), "default")
-    if error["type"] == "extra_forbidden":
+    if error["type"] == "extra_forbidden" and len(error["loc"]) == 1:
         return f"setting {name!r} ({place}) is unknown, expected one of {', '.join(Settings.model_fields)}"
     cause = error.get("ctx", {}).get("error")
     if isinstance(cause, SourceUrlError):

@@ -14,6 +14,7 @@ import uvicorn
 
 from server.app import create_app
 from server.config import ConfigError, Settings
+from server.memory import give_back_memory, settle
 
 logger = logging.getLogger(__name__)
 
@@ -45,13 +46,16 @@ async def serve(settings: Settings, *, started: Callable[[str], None] | None = N
         timeout_graceful_shutdown=GRACE_S, ws_max_size=MAX_WEBSOCKET_MESSAGE, ws_per_message_deflate=False)
     server = _Server(config)
     serving = asyncio.create_task(server.serve(sockets=[listener]))
+    giving_back = asyncio.create_task(give_back_memory())
     try:
         with _signals(stop):
             await _first_of(serving, server.has_started.wait())
+            settle()
             if started is not None and server.started:
                 started(_base_url(settings.host, listener))
             await _first_of(serving, stop.wait())
     finally:
+        giving_back.cancel()
         server.should_exit = True
         await serving
         listener.close()

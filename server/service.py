@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import logging
 
 from server.assets import Assets
@@ -32,7 +31,6 @@ class Service:
         self.streams = Streams(settings, self.metrics)
         self.whep = WhepSessions(settings.max_viewers, MediaAddresses(
             UdpPorts(settings.media_ports), settings.advertised_addresses, settings.ice_networks))
-        self._edges = itertools.cycle(settings.edges)
         self.tokens = Tokens(settings.tokens)
         self.offers = RateLimit(burst=2 * settings.max_viewers, per_second=min(20.0, settings.max_viewers / 5.0))
 
@@ -60,9 +58,7 @@ class Service:
 
     def edge(self, stream: Stream) -> str | None:
         """A WHEP endpoint elsewhere with the same stream: of a live output's, else of the settings `edges` and `playback`."""
-        if self.settings.edges and not any(entry.protocol == "whep" for _, entry, _ in stream.outputs.playback()):
-            return next(self._edges).replace("{stream}", stream.name)
-        return whep_edge(stream, self.settings.playback)
+        return whep_edge(stream, self.settings)
 
     async def check_rest_source(self, source: str) -> str:
         """The source as a client of the API may name it. Raises SourceUrlError."""

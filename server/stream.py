@@ -10,14 +10,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from server.delivery.fanout import EncodedFrame
-from server.delivery.tracks import AUDIO, Tracks, video_track
+from server.delivery.tracks import Tracks, video_track
 from server.event_outbox import Event, EventOutbox
 from server.light_feed import LightFeed
 from server.live_scene import LiveScene
 from server.metrics import StreamMetrics
 from server.outputs.stream_outputs import StreamOutputs
 from server.percentiles import Percentiles
-from server.renditions import CODECS, LADDER, Rendition
+from server.renditions import AUDIO, CODECS, LADDER, Rendition
 from server.snapshots import Snapshots
 from server.source_url import is_file_source, masked
 from server.supervisor import Supervisor
@@ -84,10 +84,6 @@ class Stream:
     def restarts(self) -> int:
         return self._supervisor.restarts
 
-    @property
-    def renditions(self) -> tuple[Rendition, ...]:
-        return self._settings.renditions
-
     def scene_of(self, revision: int) -> dict[str, Any] | None:
         """The scene as JSON that a picture of that revision shows; None when it is long gone."""
         scene = self.live_scene.at(revision)
@@ -131,7 +127,7 @@ class Stream:
     def event_subscription(self) -> Iterator[EventOutbox]:
         """An outbox that begins with the whole present state."""
         outbox = EventOutbox(self._scene_event)
-        for event in (self._scene_event(), self._source_event(), self._viewers_event(), self._outputs_event()):
+        for event in (self._scene_event(), self._source_event(), self._outputs_event(), self._viewers_event()):
             outbox.put(event)
         self._events.add(outbox)
         try:

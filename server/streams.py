@@ -55,7 +55,7 @@ class Streams:
         if len(self._running) >= self._settings.max_streams:
             raise TooManyStreamsError(name)
         stream_settings = StreamSettings(
-            str(self._settings.assets_dir), self._settings.require_gpu, self._settings.bitrate_bps,
+            str(self._settings.assets_dir), self._settings.require_gpu, self._settings.bitrate_bps, self._settings.renditions,
             recordings_dir=str(self._settings.recordings_dir), max_outputs=self._settings.max_outputs)
         stream = Stream(name, source, stream_settings, StreamMetrics(self._metrics, name))
         task = asyncio.create_task(stream.run(), name=f"stream {name}")

@@ -19,7 +19,7 @@ from pathlib import Path
 from server.bench.latency_figures import browser_figures, frame_figures, report_lines
 from server.bench.latency_page import LatencyPage, Shown, latency_page
 from server.bench.machine import machine_figures
-from server.bench.service_options import BAD_INPUT, Parser, one_size, seconds
+from server.bench.service_options import BAD_INPUT, Parser, bitrate, one_size, seconds
 from server.bench.service_processes import OtherWork, ProcessGoneError
 from server.bench.service_run import READY_WITHIN_S, Report, Show, start_service
 from server.bench.viewers import capture_clocks, percentiles
@@ -111,7 +111,7 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--warm-up", type=seconds, default=WARM_UP_S, help=f"seconds before that, default {WARM_UP_S:g}")
     parser.add_argument("--size", type=one_size, default="2048x1024", help="of the camera's picture, default 2048x1024")
     parser.add_argument("--fps", type=int, default=30, help="of the camera, default 30")
-    parser.add_argument("--bitrate", type=int, default=10_000_000, help="of the full rendition in bit/s, default 10000000")
+    parser.add_argument("--bitrate", type=bitrate, default=10_000_000, help="of the full rendition in bit/s, default 10000000")
     parser.add_argument("--json", type=Path, metavar="FILE", help="where to write the figures")
     options = parser.parse_args(arguments)
     parser.check_json(options.json)

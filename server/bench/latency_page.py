@@ -94,7 +94,7 @@ class LatencyPage:
         page.goto(f"{base}/{PAGE}")
         self._origin_ms = page.evaluate("performance.timeOrigin")
         self.clock_offset_s, self.clock_error_s = self._compared()
-        page.evaluate(_SCRIPT, [f"/whep/live{query}", time_code.COLUMNS, time_code.ROWS, time_code.BLOCKS_ACROSS])
+        page.evaluate(_SCRIPT, [f"{base}/whep/live{query}", time_code.COLUMNS, time_code.ROWS, time_code.BLOCKS_ACROSS])
 
     def _compared(self) -> tuple[float, float]:
         """What the browser's clock is ahead of ours, and by how much that may be wrong: half of the shortest round trip."""

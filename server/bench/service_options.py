@@ -86,6 +86,21 @@ def counts(text: str) -> tuple[int, ...]:
     return tuple(dict.fromkeys(map(int, text.split(","))))
 
 
+def one_count(text: str) -> int:
+    """An argument: a number of viewers."""
+    found = counts(text)
+    if len(found) != 1:
+        raise argparse.ArgumentTypeError(f"{text!r} given, expected one number")
+    return found[0]
+
+
+def bitrate(text: str) -> int:
+    """An argument: bit/s, as the service takes them."""
+    if not text.isascii() or not text.isdigit() or not 100_000 <= int(text[:10]) <= 200_000_000:
+        raise argparse.ArgumentTypeError(f"{text!r} given, expected bit/s from 100000 to 200000000")
+    return int(text)
+
+
 def seconds(text: str) -> float:
     """An argument: a time."""
     try:

@@ -25,10 +25,10 @@ from typing import Any
 import numpy as np
 
 from server.bench.machine import machine_figures
-from server.bench.service_options import BAD_INPUT, Parser, counts, one_size, seconds
+from server.bench.service_options import BAD_INPUT, Parser, bitrate, counts, one_count, one_size, seconds
 from server.bench.service_processes import ProcessGoneError
 from server.bench.service_run import READY_WITHIN_S, Report, Served, Show, measure_watched, start_service
-from server.bench.viewers_process import GUESTS, SUMMED
+from server.bench.viewers_process import SUMMED
 from server.bench.viewers_tables import churn_lines, heading_lines, row_line, verdict_lines
 from server.demo.calls import request
 from server.demo.children import Child, ChildError, Children
@@ -39,7 +39,6 @@ from server.demo.watch import DemoError, NewestLine, StopError, Watch, signals_s
 FAILED, INTERRUPTED = 1, 130
 COUNTS, QUICK_COUNTS = (1, 5, 10, 20, 30, 40), (1, 3)
 CHURN_AMONG = 20            # viewers at the most
-WARM_UP_S = 5.0
 CLOCK_READINGS = 9
 Line = Mapping[str, Any]    # of `viewers_process`
 
@@ -73,7 +72,7 @@ def _run(options: argparse.Namespace, clip: Path, folder: Path, stop: threading.
         served = start_service(children, watch, folder, Show(clip, sample_scene(), {}), max(options.counts) + 1,
                                {"MR360_BITRATE_BPS": str(options.bitrate)})
         for count in options.counts:
-            with _audience(children, watch, served, folder, count, options.fps) as (child, seen):
+            with _audience(children, watch, served, folder, count, options) as (child, seen):
                 row = _measured(watch, served, child, seen, options)
                 report["rows"].append(row)
                 _print([row_line(row)])
@@ -93,10 +92,10 @@ def _churn_count(viewers: Sequence[int]) -> int:
 
 @contextlib.contextmanager
 def _audience(children: Children, watch: Watch, served: Served, folder: Path, count: int,
-              fps: int) -> Iterator[tuple[Child, NewestLine]]:
+              options: argparse.Namespace) -> Iterator[tuple[Child, NewestLine]]:
     """So many viewers, all of whom have a picture. Asked for by name, the rendition does not follow from what the network bears."""
     child = children.start("viewers", "server.bench.viewers_process", f"{served.base}/whep/live?rendition=full", str(count),
-                           "--fps", str(fps), piped=True, log=folder / "viewers.log")
+                           "--fps", str(options.fps), "--guests", str(options.guests), piped=True, log=folder / "viewers.log")
     seen = NewestLine(child)
     watch.until("picture in every viewer", lambda: len(seen.value.get("joins_ms", ())) == count, READY_WITHIN_S)
     yield child, seen
@@ -104,7 +103,7 @@ def _audience(children: Children, watch: Watch, served: Served, folder: Path, co
 
 
 def _measured(watch: Watch, served: Served, child: Child, seen: NewestLine, options: argparse.Namespace) -> Report:
-    watch.pause(WARM_UP_S)
+    watch.pause(options.warm_up)
     clocks = capture_clocks(served.base)
     before = seen.value
     service = measure_watched(watch, served, child, seen, options.seconds)
@@ -138,7 +137,7 @@ def _churn(watch: Watch, served: Served, child: Child, seen: NewestLine) -> Repo
     """What those who stay notice of guests who come and go; `frames` and what was wrong with them is theirs alone."""
     before, cut = seen.value, _cut(served)
     os.kill(child.pid, signal.SIGUSR1)
-    watch.until(f"end of {GUESTS} visits", lambda: bool(seen.value["churned"]), READY_WITHIN_S)
+    watch.until("end of the visits", lambda: bool(seen.value["churned"]), READY_WITHIN_S)
     time.sleep(0.5)
     after = seen.value
     return {"viewers": len(after["by_viewer"]), "guests": len(after["guests_joins_ms"]),
@@ -189,9 +188,11 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--quick", action="store_true", help="a quarter of a minute: few viewers, a small picture")
     parser.add_argument("--counts", type=counts, help=f"of viewers, default {','.join(map(str, COUNTS))}")
     parser.add_argument("--seconds", type=seconds, help="measured with each count, default 20")
+    parser.add_argument("--warm-up", type=seconds, default=5.0, help="seconds before that, default 5")
+    parser.add_argument("--guests", type=one_count, default=20, help="who come and go while others watch, default 20")
     parser.add_argument("--size", type=one_size, help="of the camera's picture, default 2048x1024")
     parser.add_argument("--fps", type=int, help="of the camera, default 30")
-    parser.add_argument("--bitrate", type=int, default=10_000_000, help="of the full rendition in bit/s, default 10000000")
+    parser.add_argument("--bitrate", type=bitrate, default=10_000_000, help="of the full rendition in bit/s, default 10000000")
     parser.add_argument("--json", type=Path, metavar="FILE", help="where to write the figures")
     options = parser.parse_args(arguments)
     quick = {"counts": QUICK_COUNTS, "seconds": 5.0, "size": "512x256", "fps": 10}

@@ -1,7 +1,7 @@
 """Any number of WHEP viewers in one process, which receive and decode nothing.
 
 `python -m server.bench.viewers_process URL COUNT` runs until SIGINT or SIGTERM and writes one JSON object a line on stdout, twice a
-second: what `Audience.progress` says. SIGUSR1 begins the churn: GUESTS viewers come and go, one after the other.
+second: what `Audience.progress` says. SIGUSR1 begins the churn: so many guests come and go, one after the other.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from server.demo.viewer import REPORT_EVERY_S, Viewer, ViewerError
 
 JOIN_EVERY_S = 0.1          # so that no two joins share a keyframe by chance, and forty still come within seconds
 JOIN_WITHIN_S = 15.0
-GUESTS, GUEST_STAYS_S, GUEST_PAUSE_S = 20, 0.5, 0.2
+GUEST_STAYS_S, GUEST_PAUSE_S = 0.5, 0.2
 SUMMED = ("frames", "incomplete", "undecodable", "packets", "lost", "late", "retransmitted", "bytes", "gaps")
 
 
@@ -41,7 +41,8 @@ class Counted:
         """Make the session. Raises ViewerError."""
         self._began_at = time.monotonic()
         await self._viewer.start()
-        self._tap = Tap(self._viewer.peer, self.count)
+        peer = self._viewer.peer
+        self._tap = Tap(peer.getTransceivers()[0].receiver, peer.remoteDescription.sdp, self.count)
 
     @property
     def join_ms(self) -> float | None:
@@ -62,8 +63,8 @@ class Counted:
 class Audience:
     """So many viewers of `url` who stay, and the guests of the churn."""
 
-    def __init__(self, url: str, count: int, fps: float) -> None:
-        self._url, self._fps, self._epoch = url, fps, time.time()
+    def __init__(self, url: str, count: int, guests: int, fps: float) -> None:
+        self._url, self._guests, self._fps, self._epoch = url, guests, fps, time.time()
         self._staying = [self._viewer() for _ in range(count)]
         self._guest_joins_ms: list[float] = []
         self._churn: asyncio.Task[None] | None = None
@@ -95,7 +96,7 @@ class Audience:
         await asyncio.gather(*(viewer.stop() for viewer in self._staying))
 
     async def _come_and_go(self) -> None:
-        for _ in range(GUESTS):
+        for _ in range(self._guests):
             guest = self._viewer()
             try:
                 await guest.start()
@@ -132,12 +133,12 @@ class Audience:
                 "delays_ms": dict(delays), "epoch": self._epoch, "width": 0, "height": 0, "time": time.monotonic()}
 
 
-async def watch(url: str, count: int, fps: float) -> None:
+async def watch(url: str, count: int, guests: int, fps: float) -> None:
     """View `url` so many times at once and report on stdout until a signal comes. Raises ViewerError."""
     loop, stop = asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stop.set)
-    audience = Audience(url, count, fps)
+    audience = Audience(url, count, guests, fps)
     loop.add_signal_handler(signal.SIGUSR1, audience.churn)
     joining = asyncio.create_task(audience.start())
     try:
@@ -158,10 +159,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m server.bench.viewers_process", description="WHEP viewers without a screen")
     parser.add_argument("url", help="http://HOST:PORT/whep/STREAM")
     parser.add_argument("count", type=int, help="how many")
+    parser.add_argument("--guests", type=int, default=0, help="who come and go after SIGUSR1, default 0")
     parser.add_argument("--fps", type=float, default=30.0, help="of the stream, by which a pause is called a gap; default 30")
     arguments = parser.parse_args()
     try:
-        uvloop.run(watch(arguments.url, arguments.count, arguments.fps))
+        uvloop.run(watch(arguments.url, arguments.count, arguments.guests, arguments.fps))
     except ViewerError as error:
         print(f"viewers: {error}", file=sys.stderr)
         return 2

@@ -37,11 +37,17 @@ def row_line(row: Report) -> str:
 
 def churn_lines(report: Report) -> Iterator[str]:
     churn = report["churn"]
+    alone = next(row for row in report["rows"] if row["viewers"] == churn["viewers"])
     join = churn["joins_ms"]
     yield (f"{churn['guests']} guests came and went in {churn['seconds']:.0f} s while {churn['viewers']} watched: the others lost "
            f"{churn['dropped_after_encoder']} frames after the encoder, {churn['incomplete'] + churn['undecodable']} on the way "
-           f"and {churn['lost']} packets; {churn['gaps']} pauses of more than three frames; "
+           f"and {churn['lost']} packets; pauses of more than three frames, each a minute: {_pauses(churn):.1f}, and "
+           f"{_pauses(alone):.1f} while nobody came; "
            f"a guest had its picture after {join['p50']:.0f} ms, p95 {join['p95']:.0f}, at most {join['max']:.0f}")
+
+
+def _pauses(figures: Report) -> float:
+    return float(figures["gaps"] / figures["viewers"] / figures["seconds"] * 60)
 
 
 def verdict_lines(report: Report) -> Iterator[str]:

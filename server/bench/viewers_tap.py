@@ -5,7 +5,7 @@ of each frame's first packet, and of what is sent again. aiortc's own way of a p
 and the service that is measured runs beside it. aiortc still sends the receiver reports, from the counters here; NACK and PLI
 follow from what is missing. There is no estimate of the bandwidth (REMB).
 
-Reaches into aiortc 1.16 and aioice 0.13, which tests/worker/test_bench_viewers.py would notice.
+Reaches into aiortc 1.16 and aioice 0.13, which tests/server/test_viewers_tap.py would notice.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from aiortc import RTCPeerConnection, clock
+from aiortc import RTCRtpReceiver, clock
 from aiortc.rtp import AnyRtcpPacket, RtcpSrPacket, RtpPacket
 
 from server.bench.viewers_rtp import RtpCount
@@ -32,13 +32,13 @@ _HEADER = struct.Struct("!BBHII")
 
 
 class Tap:
-    """Counts what comes to the one video receiver of `peer`, whose answer has been set, until `close`."""
+    """Counts what comes to a video receiver until `close`; `answer` is the SDP that it was negotiated by."""
 
-    def __init__(self, peer: RTCPeerConnection, count: RtpCount) -> None:
+    def __init__(self, receiver: RTCRtpReceiver, answer: str, count: RtpCount) -> None:
         self.count = count
-        self._receiver: Any = peer.getTransceivers()[0].receiver
-        self._dtls: Any = self._receiver.transport
-        self._retransmissions = {int(number) for number in re.findall(r"a=rtpmap:(\d+) rtx/", peer.remoteDescription.sdp)}
+        self._receiver: Any = receiver
+        self._dtls: Any = receiver.transport
+        self._retransmissions = {int(number) for number in re.findall(r"a=rtpmap:(\d+) rtx/", answer)}
         self._ssrc: int | None = None
         self._sending: set[asyncio.Task[None]] = set()
         self._pli_at = 0.0

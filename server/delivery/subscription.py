@@ -13,7 +13,8 @@ from server.delivery.adaptation import Adaptation, Estimate
 from server.delivery.fanout import EncodedFrame, FanOut, Taker
 from server.delivery.reception import Reception, Report
 from server.delivery.stream_clock import StreamClock
-from server.delivery.tracks import AUDIO, Tracks, video_track
+from server.delivery.tracks import Tracks, video_track
+from server.renditions import AUDIO
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,8 +11,8 @@ from typing import Protocol
 from server.delivery.fanout import EncodedFrame, FanOut
 from server.delivery.squeeze import Squeeze
 from server.delivery.stream_clock import StreamClock
+from server.renditions import AUDIO
 
-AUDIO = "audio/opus"
 VIDEO_CLOCK_HZ = 90_000
 
 

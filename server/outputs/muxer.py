@@ -9,6 +9,7 @@ from typing import Protocol
 
 import av
 
+from server.outputs.beginning import Beginning
 from server.outputs.muxing import Muxing
 from server.outputs.recording import Recording
 from server.outputs.server_link import OutputFailedError, Pulse, ServerLink, failed_message
@@ -22,7 +23,7 @@ class _Sink(Protocol):
     @property
     def name(self) -> str | None: ...
 
-    def write_picture(self, message: Message, access_unit: bytes) -> None: ...
+    def write_picture(self, message: Message, access_unit: bytes) -> bool: ...
 
     def write_sound(self, timestamp: int, opus: bytes) -> None: ...
 
@@ -36,17 +37,27 @@ class _Push:
 
     name = None
 
-    def __init__(self, start: Message) -> None:
+    def __init__(self, start: Message, beginning: Beginning) -> None:
+        self._beginning = beginning
         rtmp = start["kind"] == "rtmp"
         # Without flush_packets the end of a frame waits in a buffer for the next frame.
         options = {"flvflags": "no_duration_filesize", "flush_packets": "1"} if rtmp else {"rtsp_transport": "tcp"}
         make_sound = (EncodedAac if rtmp else CopiedOpus) if start["sound"] else None
         self._muxing = Muxing(start["url"], "flv" if rtmp else "rtsp", options, make_sound, sets_in_band=not rtmp)
 
-    def write_picture(self, message: Message, access_unit: bytes) -> None:
-        self._muxing.write_picture(int(message["timestamp"]), access_unit, keyframe=bool(message["keyframe"]))
+    def write_picture(self, message: Message, access_unit: bytes) -> bool:
+        """Returns whether the picture has gone out."""
+        keyframe = bool(message["keyframe"])
+        if not self._muxing.opened:
+            self._muxing.open(access_unit)
+            self._beginning.opened()
+        if not self._muxing.begun and not self._beginning.reached_by(float(message["decoded_at"]), keyframe=keyframe):
+            return False
+        self._muxing.write_picture(int(message["timestamp"]), access_unit, keyframe=keyframe)
+        return True
 
     def write_sound(self, timestamp: int, opus: bytes) -> None:
+        self._beginning.sound_came()
         self._muxing.write_sound(timestamp, opus)
 
     def note(self, message: Message) -> None:
@@ -61,7 +72,7 @@ def mux(start: Message, connection: socket.socket) -> None:
     av.logging.set_level(av.logging.ERROR)      # so that errors say what the peer said; nothing is printed
     link = ServerLink(connection)
     pulse = Pulse(link)
-    sink = _open(start)
+    sink = _open(start, link)
     link.send({"type": "ready"})
     failure: OutputFailedError | None = None
     try:
@@ -78,10 +89,11 @@ def mux(start: Message, connection: socket.socket) -> None:
     os._exit(0)     # or the container would be closed once more, on a connection that may take nothing
 
 
-def _open(start: Message) -> _Sink:
+def _open(start: Message, link: ServerLink) -> _Sink:
+    beginning = Beginning(lambda: link.send({"type": "keyframe"}), sound=bool(start["sound"]))
     if start["kind"] == "record":
-        return Recording(Path(start["folder"]), start["prefix"], start["stream"], sound=bool(start["sound"]))
-    return _Push(start)
+        return Recording(Path(start["folder"]), start["prefix"], start["stream"], beginning, sound=bool(start["sound"]))
+    return _Push(start, beginning)
 
 
 def _write_all(link: ServerLink, pulse: Pulse, sink: _Sink) -> OutputFailedError | None:
@@ -93,29 +105,25 @@ def _write_all(link: ServerLink, pulse: Pulse, sink: _Sink) -> OutputFailedError
         except (EOFError, ProtocolError):
             return None
         try:
-            with pulse.writing():
-                _write(sink, message, payload)
+            match message["type"]:
+                case "picture":
+                    with pulse.writing():
+                        written = sink.write_picture(message, payload)
+                    pulse.frames += written
+                    pulse.bytes += len(payload) if written else 0
+                    if written and not live:
+                        live = True
+                        link.send({"type": "live", "detail": sink.name})
+                case "sound":
+                    with pulse.writing():
+                        sink.write_sound(int(message["timestamp"]), payload)
+                    pulse.bytes += len(payload) if live else 0
+                case "scene" | "source":
+                    sink.note(message)
+                case "stop":
+                    return None
         except OutputFailedError as error:
             return error
-        match message["type"]:
-            case "stop":
-                return None
-            case "picture":
-                pulse.frames += 1
-                if not live:
-                    live = True
-                    link.send({"type": "live", "detail": sink.name})
-        pulse.bytes += len(payload)
-
-
-def _write(sink: _Sink, message: Message, payload: bytes) -> None:
-    match message["type"]:
-        case "picture":
-            sink.write_picture(message, payload)
-        case "sound":
-            sink.write_sound(int(message["timestamp"]), payload)
-        case "scene" | "source":
-            sink.note(message)
 
 
 def _reason(error: Exception) -> str:

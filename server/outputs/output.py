@@ -12,9 +12,10 @@ from datetime import UTC, datetime
 from typing import Any, Protocol
 
 from server.delivery.fanout import EncodedFrame
-from server.delivery.tracks import AUDIO, Tracks, video_track
-from server.outputs.process import OutputProcess
+from server.delivery.tracks import Tracks, video_track
+from server.outputs.process import SILENCE_LIMIT_S, OutputProcess
 from server.outputs.spec import OutputSpec
+from server.renditions import AUDIO
 from server.worker.messages import Message
 
 logger = logging.getLogger(__name__)
@@ -59,6 +60,8 @@ class Output:
         self.networks = networks
         self._changed = changed
         self._task: asyncio.Task[None] | None = None
+        self._changing = asyncio.Lock()             # of the task
+        self._stopped = False
         self._sound: bool | None = None             # None: nothing is known of the source yet
         self._sound_known = asyncio.Event()
         self._process: OutputProcess | None = None
@@ -104,6 +107,12 @@ class Output:
             self._task.add_done_callback(_log_crash)
 
     async def stop(self) -> None:
+        """For good."""
+        self._stopped = True
+        async with self._changing:
+            await self._end_task()
+
+    async def _end_task(self) -> None:
         task, self._task = self._task, None
         if task is not None:
             task.cancel()
@@ -111,12 +120,14 @@ class Output:
 
     async def replace(self, spec: OutputSpec, networks: tuple[str, ...] | None) -> None:
         """Go on as that. Only what does not reach the process is changed without a new one."""
-        same = spec.model_copy(update={"playback": self.spec.playback}) == self.spec
-        self.spec, self.networks = spec, networks
-        if not same:
-            await self.stop()
-            self._set("disabled", None)
-            self.start()
+        async with self._changing:
+            same = spec.model_copy(update={"playback": self.spec.playback}) == self.spec
+            self.spec, self.networks = spec, networks
+            if not same:
+                await self._end_task()
+                self._set("disabled", None)
+                if not self._stopped:
+                    self.start()
 
     def source_changed(self, state: str, detail: str | None, source: dict[str, Any] | None) -> None:
         """Told of the stream's source: its state, and what it carries (None while nothing is known)."""
@@ -161,7 +172,7 @@ class Output:
             await asyncio.wait([running, *feeding], return_when=asyncio.FIRST_COMPLETED)
             if self._ended is None:     # what feeds may notice the end first, but only the process says why
                 await asyncio.wait([running], timeout=1.0)
-            return self._ended or _Ended(f"the output's process {running.result() if running.done() else 'does not read'}")
+            return self._ended or _Ended(self._reason(process, running.result() if running.done() else "does not read"))
         finally:
             self._process = None
             for task in (running, *feeding):
@@ -169,6 +180,11 @@ class Output:
             await asyncio.gather(running, *feeding, return_exceptions=True)
             await asyncio.shield(process.stop())
             self._counted, self._counts = {"frames": self.frames, "bytes": self.bytes_out}, {"frames": 0, "bytes": 0}
+
+    def _reason(self, process: OutputProcess, ending: str) -> str:
+        if process.fell_silent and self._ready.is_set() and self._live_at is None and self.spec.url is not None:
+            return f"no answer within {SILENCE_LIMIT_S:g} s"     # FFmpeg connects without letting others run
+        return f"the output's process {ending}"
 
     def _start_message(self, sound: bool) -> Message:
         spec = self.spec

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterable
 from typing import Any
 
-from server.outputs.spec import ConfiguredPlayback
+from server.config import Settings
 from server.renditions import CODECS
 from server.stream import Stream
 
 
-def ways_to_watch(stream: Stream, base_url: str, configured: Iterable[ConfiguredPlayback]) -> list[dict[str, Any]]:
+def ways_to_watch(stream: Stream, base_url: str, settings: Settings) -> list[dict[str, Any]]:
     """Ours first, then what the live outputs name, then the settings' entries. `base_url` is ours, without a slash at its end."""
     output = stream.output or {}
-    renditions = output.get("renditions") or [rendition.model_dump(include={"name"}) for rendition in stream.renditions]
+    renditions = output.get("renditions") or [{"name": name} for name in stream.rendition_names]
     source = stream.input or {}
     return [
         {"protocol": "whep", "url": f"{base_url}/whep/{stream.name}", "renditions": renditions, "codecs": list(CODECS),
@@ -22,16 +21,21 @@ def ways_to_watch(stream: Stream, base_url: str, configured: Iterable[Configured
         {"protocol": "page", "url": f"{base_url}/view/{stream.name}"},
         *({"protocol": entry.protocol, "url": entry.url, "rendition": rendition, "via": output_id}
           for output_id, entry, rendition in stream.outputs.playback()),
-        *(entry.model_dump(exclude={"stream"}, exclude_none=True) for entry in configured if entry.stream == stream.name),
+        *_configured(stream, settings),
     ]
 
 
-def whep_edge(stream: Stream, configured: Iterable[ConfiguredPlayback] = ()) -> str | None:
-    """The WHEP URL of a media server that has this stream now, where a viewer can be sent to (307) when we are at capacity.
+def whep_edge(stream: Stream, settings: Settings) -> str | None:
+    """The WHEP URL of a media server that has this stream, where a viewer can be sent to (307) when we are at capacity.
 
     One at random of those behind live outputs; else one of the settings, which nobody here knows to be alive; None: nowhere.
     """
     live = [entry.url for _, entry, _ in stream.outputs.playback() if entry.protocol == "whep"]
-    static = [entry.url for entry in configured if entry.stream == stream.name and entry.protocol == "whep"]
-    edges = live or static
+    edges = live or [entry["url"] for entry in _configured(stream, settings) if entry["protocol"] == "whep"]
     return random.choice(edges) if edges else None
+
+
+def _configured(stream: Stream, settings: Settings) -> list[dict[str, Any]]:
+    own = [entry for entry in settings.playback if entry.stream == stream.name]
+    entries = [entry.model_dump(exclude={"stream"}, exclude_none=True) for entry in own]
+    return entries + [{"protocol": "whep", "url": edge.replace("{stream}", stream.name)} for edge in settings.edges]

@@ -23,6 +23,10 @@ class OutputProcess(WorkerProcess):
     def _silence_limit_s(self) -> float:
         return SILENCE_LIMIT_S
 
+    @property
+    def fell_silent(self) -> bool:
+        return self._silent_s >= SILENCE_LIMIT_S
+
     async def write(self, message: Message, payload: bytes = b"") -> None:
         """Returns when there is room for more. Raises ConnectionError when the process has gone."""
         self._writer.write(encode_message(message, payload))

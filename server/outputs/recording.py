@@ -14,6 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from server.outputs.beginning import Beginning
 from server.outputs.muxing import CLOCK_RATE, Muxing
 from server.outputs.sound import EncodedAac
 from server.worker.messages import Message
@@ -26,10 +27,11 @@ NAMES_TRIED = 100
 
 
 class Recording:
-    """Both files. Opened by the first keyframe; raises OSError when the disk refuses."""
+    """Both files. The film is opened by the first keyframe; raises OSError when the disk refuses."""
 
-    def __init__(self, folder: Path, prefix: str, stream: str, *, sound: bool) -> None:
+    def __init__(self, folder: Path, prefix: str, stream: str, beginning: Beginning, *, sound: bool) -> None:
         self._folder, self._prefix, self._stream = folder, prefix, stream
+        self._beginning = beginning
         self._has_sound = sound
         self._muxing: Muxing | None = None
         self._file: _SphericalFile | None = None
@@ -42,19 +44,22 @@ class Recording:
         """Of the MP4, once there is one."""
         return self._file.path.name if self._file is not None else None
 
-    def write_picture(self, message: Message, access_unit: bytes) -> None:
-        timestamp, revision = int(message["timestamp"]), int(message["revision"])
-        age_s = max(0.0, time.monotonic() - float(message["decoded_at"]))
-        muxing = self._muxing or self._open()
-        begins = not muxing.opened
-        seconds = muxing.write_picture(timestamp, access_unit, keyframe=bool(message["keyframe"]))
-        if begins:
-            self._begin_log(muxing, timestamp, age_s)
-        if revision != self._shown_revision and self._log is not None:
+    def write_picture(self, message: Message, access_unit: bytes) -> bool:
+        """Returns whether the picture is in the file."""
+        timestamp, revision, keyframe = int(message["timestamp"]), int(message["revision"]), bool(message["keyframe"])
+        decoded_at = float(message["decoded_at"])
+        muxing = self._muxing or self._open(access_unit)
+        if not muxing.begun and not self._beginning.reached_by(decoded_at, keyframe=keyframe):
+            return False
+        seconds = muxing.write_picture(timestamp, access_unit, keyframe=keyframe)
+        log = self._log or self._begin_log(muxing, timestamp, max(0.0, time.monotonic() - decoded_at))
+        if revision != self._shown_revision:
             self._shown_revision = revision
-            self._log.write({"time": round(seconds, 6), "revision": revision, "scene": self._next_scene})
+            log.write({"time": round(seconds, 6), "revision": revision, "scene": self._next_scene})
+        return True
 
     def write_sound(self, timestamp: int, opus: bytes) -> None:
+        self._beginning.sound_came()
         if self._muxing is not None:
             self._muxing.write_sound(timestamp, opus)
 
@@ -74,21 +79,24 @@ class Recording:
                 if file is not None:
                     file.close()
 
-    def _open(self) -> Muxing:
+    def _open(self, keyframe: bytes) -> Muxing:
         self._folder.mkdir(parents=True, exist_ok=True)
         self._file = _SphericalFile(_new_file(self._folder, self._prefix))
         self._muxing = Muxing(self._file, "mp4", {"movflags": MOVFLAGS, "flush_packets": "1"},
                               EncodedAac if self._has_sound else None, sets_in_band=False)
+        self._muxing.open(keyframe)
+        self._beginning.opened()
         return self._muxing
 
-    def _begin_log(self, muxing: Muxing, timestamp: int, age_s: float) -> None:
+    def _begin_log(self, muxing: Muxing, timestamp: int, age_s: float) -> _SceneLog:
         assert self._file is not None
         width, height = muxing.size
-        self._log = _SceneLog(self._file.path.with_suffix(".scene.jsonl"), age_s)
-        self._log.write({
-            "stream": self._stream, "file": self._file.path.name, "start": self._log.start.isoformat(timespec="milliseconds"),
+        self._log = log = _SceneLog(self._file.path.with_suffix(".scene.jsonl"), age_s)
+        log.write({
+            "stream": self._stream, "file": self._file.path.name, "start": log.start.isoformat(timespec="milliseconds"),
             "clock": {"rate": CLOCK_RATE, "origin": timestamp},
             "geometry": {"width": width, "height": height, "projection": "equirectangular"}})
+        return log
 
 
 class _SceneLog:

@@ -16,6 +16,7 @@ from av.container import OutputContainer
 SAMPLE_RATE = 48_000
 TIME_BASE = Fraction(1, SAMPLE_RATE)
 PACKET_SAMPLES = 960            # 20 ms
+SILENT_OPUS = bytes((0xFC, 0xFF, 0xFE))     # RFC 6716: CELT, full band, stereo, one frame of 20 ms with nothing in it
 AAC_BITRATE_BPS = 128_000
 LONGEST_SILENCE_S = 30          # a gap is filled with silence up to this; after a longer one the connection begins anew
 
@@ -23,13 +24,17 @@ Packet = Any        # av.Packet, generic in the stubs only
 
 
 class Sound(Protocol):
-    """One sound track of an output container."""
+    """One sound track of an output container. Times are in samples since the output's origin.
+
+    Both methods return what is to be muxed, and raise ValueError at a gap that is too long to be filled.
+    """
 
     def packets(self, samples: int, opus: bytes) -> list[Packet]:
-        """What is to be muxed for an Opus packet at that time, in samples since the output's origin.
+        """For the stream's Opus packet of that time."""
+        ...
 
-        Raises ValueError after a gap that cannot be filled.
-        """
+    def silence(self, until: int) -> list[Packet]:
+        """For what has not come by then."""
         ...
 
 
@@ -38,18 +43,26 @@ class CopiedOpus:
 
     def __init__(self, container: OutputContainer) -> None:
         self._stream = container.add_stream("libopus", rate=SAMPLE_RATE, layout="stereo")
-        self._last = -1
+        self._next = 0
 
     def packets(self, samples: int, opus: bytes) -> list[Packet]:
-        if samples <= self._last:
+        if samples < self._next - PACKET_SAMPLES // 2:
             return []
-        self._last = samples
+        silence = self.silence(samples)
+        return [*silence, self._packet(max(samples, self._next), opus)]
+
+    def silence(self, until: int) -> list[Packet]:
+        _check_gap(until - self._next)
+        return [self._packet(self._next, SILENT_OPUS) for _ in range((until - self._next) // PACKET_SAMPLES)]
+
+    def _packet(self, samples: int, opus: bytes) -> Packet:
+        self._next = samples + PACKET_SAMPLES
         packet: Packet = av.Packet(opus)
         packet.pts = packet.dts = samples
         packet.duration = PACKET_SAMPLES
         packet.time_base = TIME_BASE
         packet.stream = self._stream
-        return [packet]
+        return packet
 
 
 class EncodedAac:
@@ -60,35 +73,39 @@ class EncodedAac:
         self._decoder = av.CodecContext.create("libopus", "r")
         self._decoder.sample_rate = SAMPLE_RATE
         self._decoder.layout = "stereo"
-        self._next: int | None = None
+        self._next = 0
 
     def packets(self, samples: int, opus: bytes) -> list[Packet]:
-        if self._next is None:
-            self._next = samples
-        missing = samples - self._next
-        if missing > LONGEST_SILENCE_S * SAMPLE_RATE:
-            raise ValueError(f"the sound was away for {missing / SAMPLE_RATE:.0f} s")
-        if missing < -PACKET_SAMPLES // 2:
+        if self._next == 0:
+            self._next = min(samples, PACKET_SAMPLES)       # exactly, for all that follows is counted from here
+        if samples < self._next - PACKET_SAMPLES // 2:
             return []
-        packets = []
-        while missing >= PACKET_SAMPLES // 2:       # less is jitter
-            silent = min(missing, SAMPLE_RATE)
-            packets += self._encode(_silence(silent))
-            missing -= silent
+        packets = self.silence(samples) if samples >= self._next + PACKET_SAMPLES // 2 else []      # less is jitter
         for frame in self._decoder.decode(av.Packet(opus)):
             packets += self._encode(frame)
-        # What AAC needs to get going comes before the first sample: players must not wait for a time below zero.
-        return [packet for packet in packets if packet.pts is not None and packet.pts >= 0]
+        return packets
+
+    def silence(self, until: int) -> list[Packet]:
+        _check_gap(until - self._next)
+        packets = []
+        while self._next < until:
+            packets += self._encode(_silence(min(until - self._next, SAMPLE_RATE)))
+        return packets
 
     def _encode(self, frame: AudioFrame) -> list[Packet]:
-        assert self._next is not None
         frame.pts, frame.time_base = self._next, TIME_BASE
         self._next += frame.samples
-        return list(self._stream.encode(frame))
+        # What AAC needs to get going comes before the first sample: players must not wait for a time below zero.
+        return [packet for packet in self._stream.encode(frame) if packet.pts is not None and packet.pts >= 0]
+
+
+def _check_gap(samples: int) -> None:
+    if samples > LONGEST_SILENCE_S * SAMPLE_RATE:
+        raise ValueError(f"the sound was away for {samples / SAMPLE_RATE:.0f} s")
 
 
 def _silence(samples: int) -> AudioFrame:
-    frame = AudioFrame(format="flt", layout="stereo", samples=samples)
+    frame = AudioFrame(format="s16", layout="stereo", samples=samples)      # as libopus decodes
     frame.sample_rate = SAMPLE_RATE
     for plane in frame.planes:
         plane.update(bytes(plane.buffer_size))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from typing import Annotated, Any, Literal
-from urllib.parse import urlsplit
+from urllib.parse import parse_qsl, urlsplit
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
@@ -117,7 +117,7 @@ class OutputSpec(BaseModel):
         secrets = [self.token] if self.token else []
         if self.url is not None:
             parts = urlsplit(self.url)
-            secrets += [text for text in (parts.query, parts.username, parts.password) if text]
+            secrets += [text for text in (parts.username, parts.password, *(value for _, value in parse_qsl(parts.query))) if text]
             secrets += _PATH_PART.findall(parts.path)
             if self.kind == "rtmp":
                 secrets += [key for key in [parts.path.rpartition("/")[2]] if key]
@@ -163,6 +163,8 @@ def _check_url(kind: Kind, url: str | None) -> None:
     expected = ["http", "https"] if kind == "whip" else [scheme for scheme in SCHEMES if SCHEMES[scheme] == kind]
     if parts.scheme not in expected:
         raise SourceUrlError(f"url scheme is {parts.scheme!r}, expected {' or '.join(expected)} for kind {kind}")
+    if kind == "whip" and "@" in parts.netloc:
+        raise SourceUrlError("url has a user name or password, expected a token beside it")
     if kind == "rtmp" and len([part for part in parts.path.split("/") if part]) < 2:
         raise SourceUrlError(f"url is incomplete, expected {parts.scheme}://HOST/APP/KEY")
 

@@ -13,9 +13,10 @@ from aiortc import RTCBundlePolicy, RTCConfiguration, RTCIceServer, RTCPeerConne
 from aiortc.exceptions import InvalidAccessError, InvalidStateError, OperationError
 
 from server.delivery import aiortc_hooks
+from server.delivery.fanout import EncodedFrame
 from server.outputs.server_link import PULSE_S, OutputFailedError, failed_message
 from server.outputs.whip_http import MAX_REDIRECTIONS, Answer, Redirection, delete_session, post_offer
-from server.outputs.whip_sender import PushTrack, add_tracks
+from server.outputs.whip_sender import PushedFeed, add_feeds
 from server.source_url import SourceUrlError, check_source_network
 from server.worker.messages import Message, ProtocolError, encode_message, read_message
 
@@ -26,7 +27,7 @@ READ_BUFFER_BYTES = 1 << 20
 
 async def push(start: Message, connection: socket.socket) -> None:
     """Until the server says `stop` or goes away, or the output fails, of which the server is told."""
-    aiortc_hooks.install()
+    aiortc_hooks.install()      # not `ice`: a client asks STUN and TURN servers about itself, which the service's ICE does not
     connection.setblocking(False)
     reader, writer = await asyncio.open_unix_connection(sock=connection, limit=READ_BUFFER_BYTES)
     await _Push(start, reader, writer).run()
@@ -41,7 +42,7 @@ class _Push:
         self._frames = self._bytes = 0
         self._session_url: str | None = None
         self._connection: RTCPeerConnection | None = None
-        self._tracks: dict[str, PushTrack] = {}
+        self._feeds: dict[str, PushedFeed] = {}
 
     async def run(self) -> None:
         """Whatever comes first: the server's end, the connection's end, an error."""
@@ -76,7 +77,7 @@ class _Push:
         connected, ended = asyncio.Event(), asyncio.Event()
         connection = RTCPeerConnection(RTCConfiguration(iceServers=list(ice_servers), bundlePolicy=RTCBundlePolicy.MAX_BUNDLE))
         self._connection = connection
-        self._tracks = add_tracks(connection, self._request_keyframe, sound=self._sound)
+        self._feeds = add_feeds(connection, self._request_keyframe, sound=self._sound)
 
         def state_changed() -> None:
             if connection.connectionState == "connected":
@@ -91,15 +92,13 @@ class _Push:
             await connection.setRemoteDescription(RTCSessionDescription(answer.sdp, "answer"))
         except (InvalidAccessError, InvalidStateError, OperationError, ValueError, KeyError, AttributeError, IndexError) as error:
             raise OutputFailedError(f"the WHIP endpoint's answer cannot be used: {error}", hopeless=True) from None
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(CONNECT_LIMIT_S):
-                await connected.wait()
+        await _first_of(connected, ended, limit_s=CONNECT_LIMIT_S)
         if connected.is_set():
             return ended
         if answer.ice_servers and not ice_servers:
             await self._leave()
             return await self._connect(answer.ice_servers)
-        raise OutputFailedError(f"no WebRTC connection within {CONNECT_LIMIT_S:g} s")
+        raise OutputFailedError("no WebRTC connection comes about: no ICE candidates reach each other")
 
     async def _negotiate(self, offer: str) -> Answer:
         url = self._url
@@ -150,11 +149,13 @@ class _Push:
 
     def _pass_on(self, message: Message, payload: bytes) -> None:
         is_picture = message["type"] == "picture"
-        track = self._tracks.get("video" if is_picture else "audio")
-        keyframe = bool(message["keyframe"]) if is_picture else True
-        if track is not None and track.push(int(message["timestamp"]), payload, keyframe=keyframe):
-            self._frames += is_picture
-            self._bytes += len(payload)
+        feed = self._feeds.get(message["type"])
+        if feed is None:
+            return
+        feed.push(EncodedFrame(payload, int(message["timestamp"]), keyframe=bool(message.get("keyframe", True)),
+                               decoded_at=float(message.get("decoded_at", 0.0))))
+        self._frames += is_picture
+        self._bytes += len(payload)
 
     async def _beat(self) -> None:
         while True:
@@ -169,3 +170,10 @@ class _Push:
 
     def _send(self, message: Message) -> None:
         self._writer.write(encode_message(message))
+
+
+async def _first_of(*events: asyncio.Event, limit_s: float) -> None:
+    waits = [asyncio.create_task(event.wait()) for event in events]
+    await asyncio.wait(waits, timeout=limit_s, return_when=asyncio.FIRST_COMPLETED)
+    for wait in waits:
+        wait.cancel()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import http.client
 import re
 import urllib.error
 import urllib.request
@@ -65,7 +66,7 @@ def post_offer(url: str, token: str | None, offer: str) -> Answer | Redirection:
     except urllib.error.HTTPError as error:
         with error:
             return _refused(url, error)
-    except (OSError, ValueError) as error:      # ValueError: of http.client, for what is no HTTP
+    except (OSError, ValueError, http.client.HTTPException) as error:
         raise OutputFailedError(f"no answer of the WHIP endpoint: {_reason(error)}") from None
     if len(sdp) > MAX_ANSWER_BYTES:
         raise OutputFailedError(f"the WHIP endpoint's answer is longer than {MAX_ANSWER_BYTES} bytes", hopeless=True)
@@ -76,7 +77,7 @@ def post_offer(url: str, token: str | None, offer: str) -> Answer | Redirection:
 
 def delete_session(url: str, token: str | None) -> None:
     """Say goodbye; a server that does not answer finds out by itself."""
-    with contextlib.suppress(OSError, ValueError):
+    with contextlib.suppress(OSError, ValueError, http.client.HTTPException):
         request = urllib.request.Request(url, headers=_headers(token), method="DELETE")
         _opener.open(request, timeout=DELETE_LIMIT_S).close()
 

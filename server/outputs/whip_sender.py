@@ -1,47 +1,57 @@
-"""Hands the stream's packets to one peer connection of a WHIP client, by the sender that viewers get."""
+"""Hands the stream's packets to the delivery's own RTP sender, for the one peer connection of a WHIP client."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 from aiortc import RTCPeerConnection
 
 from server.delivery.codecs import opus, with_retransmission
-from server.delivery.fanout import EncodedFrame, FanOut
+from server.delivery.fanout import EncodedFrame, Taker
 from server.delivery.feed import FeedTrack
+from server.delivery.reception import Reception, Report
 from server.delivery.stream_clock import StreamClock
-from server.delivery.subscription import TrackFeed
 
-CLOCK_HZ = {"video": 90_000, "audio": 48_000}
-
-
-class PushTrack:
-    """Fed by `push`; cut to the next keyframe when the connection is slower than that."""
-
-    def __init__(self, kind: str, fanout: FanOut, clock: StreamClock) -> None:
-        self._rate, self._fanout, self._clock = CLOCK_HZ[kind], fanout, clock
-
-    def push(self, timestamp: int, data: bytes, *, keyframe: bool) -> bool:
-        """Returns whether there is a connection that takes it."""
-        now = time.monotonic()
-        self._clock.start(timestamp, self._rate, now)
-        self._fanout.publish(EncodedFrame(data, timestamp, keyframe=keyframe, decoded_at=now))
-        return len(self._fanout) > 0
+VIDEO_CLOCK_HZ = 90_000
 
 
-def add_tracks(connection: RTCPeerConnection, request_keyframe: Callable[[], None], *, sound: bool) -> dict[str, PushTrack]:
-    """Video as H.264 and, if there is sound, Opus; to be called before the offer is made. PLI and FIR call `request_keyframe`."""
-    clock, tracks = StreamClock(), {}
-    for kind in ("video", "audio") if sound else ("video",):
-        fanout = FanOut(request_keyframe=request_keyframe if kind == "video" else _nothing, takers_changed=_nothing,
-                        keyframes=kind == "video")
-        feed = TrackFeed(fanout, "h264" if kind == "video" else "opus", clock)
-        transceiver = connection.addTransceiver(FeedTrack(kind, feed), direction="sendonly")
-        transceiver.setCodecPreferences(with_retransmission("h264") if kind == "video" else opus())
-        tracks[kind] = PushTrack(kind, fanout, clock)
-    return tracks
+class PushedFeed:
+    """Frames as the server pushes them; cut to the next keyframe where the connection is slower."""
+
+    def __init__(self, codec: str, clock: StreamClock, request_keyframe: Callable[[], None]) -> None:
+        self.codec = codec
+        self.clock = clock
+        self.reception = Reception()
+        self.request_keyframe = request_keyframe
+        self._taker = Taker(request_keyframe, needs_keyframe=codec == "h264")
+
+    def push(self, frame: EncodedFrame) -> None:
+        if self.codec == "h264":
+            self.clock.start(frame.timestamp, VIDEO_CLOCK_HZ, frame.decoded_at)
+        self._taker.offer(frame)
+
+    async def next_frame(self) -> EncodedFrame:
+        return await self._taker.next_frame()
+
+    def close(self) -> None:
+        """Nobody else holds anything of it."""
 
 
-def _nothing() -> None:
-    """Sound has no keyframes, and nobody here wants to know who listens."""
+def add_feeds(connection: RTCPeerConnection, request_keyframe: Callable[[], None], *, sound: bool) -> dict[str, PushedFeed]:
+    """Feeds for `picture`, as H.264, and `sound`, if there is any, as Opus. To be called before the offer is made; the process
+    has `aiortc_hooks.install` behind it."""
+    clock = StreamClock()
+    feeds = {"picture": PushedFeed("h264", clock, request_keyframe)}
+    feeds["picture"].reception.heard = lambda report: _after_silence(report, request_keyframe)
+    video = connection.addTransceiver(FeedTrack("video", feeds["picture"]), direction="sendonly")
+    video.setCodecPreferences(with_retransmission("h264"))
+    if sound:
+        feeds["sound"] = PushedFeed("opus", clock, lambda: None)
+        audio = connection.addTransceiver(FeedTrack("audio", feeds["sound"]), direction="sendonly")
+        audio.setCodecPreferences(opus())
+    return feeds
+
+
+def _after_silence(report: Report, request_keyframe: Callable[[], None]) -> None:
+    if report.after_silence:
+        request_keyframe()      # whatever the other side has is broken

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 from av.video.frame import VideoFrame
 
@@ -44,6 +44,8 @@ class Plan(NamedTuple):
 
 
 class VideoEncoder(Protocol):
+    COLOURS: ClassVar[YuvFormat | None]     # matrix and range that it takes; None: any
+
     def __init__(self, size: tuple[int, int], fps: float, bitrate_bps: int, layout: YuvFormat) -> None: ...
 
     def encode(self, frame: VideoFrame, timestamp: int, *, keyframe: bool) -> list[tuple[bytes, bool]]: ...
@@ -120,8 +122,9 @@ class EncodeThread:
         plan = self._plan(picture.size)
         key = (picture.size, picture.format, plan)
         if key != self._key:
-            self._scaler = Scaler(picture.size, plan.size, picture.format)
-            self._encoder = self._make(plan.size, plan.fps, plan.bitrate_bps, picture.format)
+            layout = self._make.COLOURS or picture.format
+            self._scaler = Scaler(picture.size, plan.size, picture.format, layout)
+            self._encoder = self._make(plan.size, plan.fps, plan.bitrate_bps, layout)
             self._key = key
 
     def stop(self, join_timeout: float = 2.0) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from typing import ClassVar
 
 import av
 from av.video.codeccontext import VideoCodecContext
@@ -23,6 +24,8 @@ def default_bitrate(width: int, height: int) -> int:
 
 class H264Encoder:
     """Constrained baseline. The level follows from the geometry; SPS and PPS stand before every IDR."""
+
+    COLOURS: ClassVar[YuvFormat | None] = None        # any: matrix and range are in the SPS
 
     def __init__(self, size: tuple[int, int], fps: float, bitrate_bps: int, layout: YuvFormat) -> None:
         context = new_context("libx264", size, fps, bitrate_bps)

@@ -1,8 +1,9 @@
-"""Frames at the size of a rendition, for one encoder."""
+"""Frames at the size of a rendition and in the colours of its codec, for one encoder."""
 
 from __future__ import annotations
 
 from av.filter import Graph
+from av.filter.context import FilterContext
 from av.video.frame import VideoFrame
 
 from renderer.color import YuvFormat
@@ -24,24 +25,42 @@ class Scaler:
     may set its time and type while another reads the same picture.
     """
 
-    def __init__(self, size: tuple[int, int], wanted: tuple[int, int], layout: YuvFormat) -> None:
+    def __init__(self, size: tuple[int, int], wanted: tuple[int, int], layout: YuvFormat,
+                 wanted_layout: YuvFormat | None = None) -> None:
+        """Without `wanted_layout` matrix and range stay."""
         self._graph = Graph()       # its filters do not keep it alive
         self._graph.threads = 1
-        matrix, color_range = "bt709" if layout.matrix == "bt709" else "smpte170m", "pc" if layout.full_range else "tv"
+        matrix, color_range = _names(layout)
         self._input = self._graph.add("buffer", f"video_size={size[0]}x{size[1]}:pix_fmt=yuv420p:time_base=1/{CLOCK_RATE}:"
                                                 f"pixel_aspect=1/1:colorspace={matrix}:range={color_range}")
-        self._output = self._graph.add("buffersink")
-        if wanted == size:
-            self._input.link_to(self._output)
-        else:   # the mean of the area: no aliasing, and as cheap as the two-tap filters
-            scale = self._graph.add("scale", f"w={wanted[0]}:h={wanted[1]}:flags=area")
-            self._input.link_to(scale)
-            scale.link_to(self._output)
+        last = self._input
+        if wanted != size:      # the mean of the area: no aliasing, and as cheap as the two-tap filters
+            last = self._linked(last, "scale", f"w={wanted[0]}:h={wanted[1]}:flags=area")
+        if wanted_layout is not None and wanted_layout != layout:
+            last = self._linked(last, "colorspace", _conversion(layout, wanted_layout))
+        self._output = self._linked(last, "buffersink", None)
         self._graph.configure()
 
+    def _linked(self, before: FilterContext, name: str, arguments: str | None) -> FilterContext:
+        added = self._graph.add(name, arguments)
+        before.link_to(added)
+        return added
+
     def frame(self, video: VideoFrame) -> VideoFrame:
-        """The frame at the wanted size, with the same matrix and range."""
+        """The frame at the wanted size, tagged with its matrix and range."""
         self._input.push(video)
         scaled = self._output.pull()
         assert isinstance(scaled, VideoFrame)
         return scaled
+
+
+def _names(layout: YuvFormat) -> tuple[str, str]:
+    """FFmpeg's, of matrix and range."""
+    return "bt709" if layout.matrix == "bt709" else "smpte170m", "pc" if layout.full_range else "tv"
+
+
+def _conversion(given: YuvFormat, wanted: YuvFormat) -> str:
+    """Of matrix and range alone: the light that the codes stand for stays."""
+    (matrix, color_range), (wanted_matrix, wanted_range) = _names(given), _names(wanted)
+    return (f"ispace={matrix}:irange={color_range}:iprimaries=bt709:itrc=bt709:"
+            f"space={wanted_matrix}:range={wanted_range}:primaries=bt709:trc=bt709:format=yuv420p")

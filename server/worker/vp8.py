@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from av.video.frame import VideoFrame
 
 from renderer.color import YuvFormat
@@ -13,9 +15,13 @@ KEYFRAME_SHARE = 600        # percent of a frame's mean share of the bitrate tha
 
 
 class Vp8Encoder:
-    """Real-time, one packet a frame at once, no hidden reference frames. VP8 says nothing of matrix and range of its colours."""
+    """Real-time, one packet a frame at once, no hidden reference frames."""
+
+    COLOURS: ClassVar[YuvFormat | None] = YuvFormat("bt601", False)     # it has no tags: RFC 6386 (9.2) and Chromium assume this
 
     def __init__(self, size: tuple[int, int], fps: float, bitrate_bps: int, layout: YuvFormat) -> None:
+        if layout != self.COLOURS:
+            raise ValueError(f"colours are {layout}, expected {self.COLOURS}")
         context = new_context("libvpx", size, fps, bitrate_bps)
         context.thread_count = 1
         context.options = {"deadline": "realtime", "cpu-used": str(SPEED), "lag-in-frames": "0", "auto-alt-ref": "0",

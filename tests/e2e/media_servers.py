@@ -30,9 +30,14 @@ rtmp {{
 class NginxRtmp:
     def __init__(self, folder: Path) -> None:
         self.port = free_port()
-        config = folder / "nginx.conf"
-        config.write_text(NGINX_CONFIG.format(folder=folder, port=self.port))
-        self.process = Process(["nginx", "-p", folder, "-c", config, "-e", folder / "error.log"], folder / "output.log")
+        self._folder = folder
+        (folder / "nginx.conf").write_text(NGINX_CONFIG.format(folder=folder, port=self.port))
+        self.start()
+
+    def start(self) -> None:
+        """Also again, after it was killed."""
+        self.process = Process(["nginx", "-p", self._folder, "-c", self._folder / "nginx.conf", "-e", self._folder / "error.log"],
+                               self._folder / "output.log")
         wait_for("nginx", lambda: accepts_connections(self.port), 10)
 
     def url(self, key: str) -> str:
@@ -56,19 +61,24 @@ class RtspServer:
 
 
 class RtspRecorder:
-    """Writes the H.264 that is published to `url` into `file`."""
+    """Writes the H.264 that is published to `url` into `file`; with `sound`, H.264 and Opus, as Matroska."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, sound: bool = False) -> None:
         self.port = free_port()
         self.url = f"rtsp://127.0.0.1:{self.port}/live"
-        self.file = folder / "recorded.h264"
-        self.process = _gst_rtsp_server("record", self.port, self.file, folder)
+        self.file = folder / ("recorded.mkv" if sound else "recorded.h264")
+        self._mode, self._folder = "record-sound" if sound else "record", folder
+        self.start()
+
+    def start(self) -> None:
+        """Also again, after it was killed; the file begins anew."""
+        self.process = _gst_rtsp_server(self._mode, self.port, self.file, self._folder)
 
 
 def _gst_rtsp_server(mode: str, port: int, file: Path, folder: Path) -> Process:
     script = Path(__file__).with_name("rtsp_server.py")
     process = Process(["/usr/bin/python3", script, mode, str(port), file], folder / f"rtsp-{port}.log", {"PYTHONPATH": ""})
-    wait_for("RTSP server", lambda: "listening" in process.output(), 10)
+    wait_for("RTSP server", lambda: accepts_connections(port), 10)
     return process
 
 

@@ -60,8 +60,8 @@ class Network:
         _ip("addr", "add", self.near, "peer", self.far, "dev", near)
         _ip("link", "set", near, "up")
         _ip("link", "set", far, "netns", self.name)
-        for words in (("addr", "add", self.far, "peer", self.near, "dev", far), ("link", "set", far, "up"), ("link", "set", "lo", "up"),
-                      ("route", "add", "default", "via", self.near)):
+        for words in (("addr", "add", self.far, "peer", self.near, "dev", far), ("link", "set", far, "up"),
+                      ("link", "set", "lo", "up"), ("route", "add", "default", "via", self.near)):
             _ip("-n", self.name, *words)
 
     def _end_relay(self) -> None:

@@ -45,7 +45,7 @@ class NetworkViewer:
     def __init__(self, page: Page, base: str, query: str) -> None:
         self._page = page
         page.goto(f"{base}/{_PAGE}")
-        page.evaluate(_START, f"/whep/live{query}")
+        page.evaluate(_START, f"{base}/whep/live{query}")
 
     @property
     def sessions(self) -> int:

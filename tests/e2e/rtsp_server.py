@@ -1,7 +1,8 @@
 """A real RTSP server (gst-rtsp-server) at rtsp://127.0.0.1:PORT/live. Runs under Debian's /usr/bin/python3.
 
 usage: rtsp_server.py play PORT FILE      plays an H.264 byte stream for ever
-       rtsp_server.py record PORT FILE    writes what is published to it
+       rtsp_server.py record PORT FILE    writes the H.264 that is published to it
+       rtsp_server.py record-sound PORT FILE    writes the H.264 and Opus that are published to it, as Matroska
 Prints one line when it listens.
 """
 
@@ -36,9 +37,13 @@ def main() -> int:
                            "! rtph264pay name=pay0 pt=96 )")
         factory.connect("media-configure", give_presentation_times)
     else:
+        file = f"filesink buffer-mode=2 location=\"{path}\""
         factory.set_transport_mode(GstRtspServer.RTSPTransportMode.RECORD)
-        factory.set_launch(f"( rtph264depay name=depay0 ! h264parse config-interval=-1 "
-                           f"! video/x-h264,stream-format=byte-stream ! filesink buffer-mode=2 location=\"{path}\" )")
+        factory.set_launch(
+            f"( rtph264depay name=depay0 ! h264parse config-interval=-1 ! video/x-h264,stream-format=byte-stream ! {file} )"
+            if mode == "record" else
+            f"( rtph264depay name=depay0 ! h264parse ! queue ! matroskamux name=mux streamable=true ! {file} "
+            "rtpopusdepay name=depay1 ! opusparse ! queue ! mux. )")
     factory.set_protocols(GstRtsp.RTSPLowerTrans.TCP)
     factory.set_shared(True)
     server = GstRtspServer.RTSPServer()

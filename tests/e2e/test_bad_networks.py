@@ -1,7 +1,7 @@
 """Loss, delay, outages, narrow links and viewers that vanish: each viewer in a network of its own.
 
-`make test` uses a small picture; with MR360_NETWORKS=full (`make bench-networks`) it is 2048×1024 at 30 frames/s and 10 Mbit/s, for as
-long as the requirements say, and the figures are printed.
+`make test` uses a small picture; with MR360_NETWORKS=full (`make bench-networks`) it is 2048×1024 at 30 frames/s and 10 Mbit/s, for
+as long as the requirements say, and the figures are printed.
 """
 
 from __future__ import annotations
@@ -111,7 +111,8 @@ def report(request: pytest.FixtureRequest) -> Callable[..., None]:
     return kept
 
 
-def test_loss_and_delay_cost_few_frames(live: Service, network: Network, remote: NetworkViewer, report: Callable[..., None]) -> None:
+def test_loss_and_delay_cost_few_frames(live: Service, network: Network, remote: NetworkViewer,
+                                        report: Callable[..., None]) -> None:
     link = Link(loss=LOSSY, delay_ms=DELAY_MS)
     network.behave(link, link)
     remote.wait(SETTLED_S)
@@ -131,7 +132,8 @@ def test_loss_and_delay_cost_few_frames(live: Service, network: Network, remote:
     assert pause_s <= LONGEST_FREEZE_S
 
 
-def test_an_outage_ends_with_the_network(live: Service, network: Network, remote: NetworkViewer, report: Callable[..., None]) -> None:
+def test_an_outage_ends_with_the_network(live: Service, network: Network, remote: NetworkViewer,
+                                         report: Callable[..., None]) -> None:
     remote.wait(SETTLED_S)
     network.cut()
     cut_at = time.time()
@@ -188,7 +190,7 @@ def test_viewers_that_vanish_are_gone(live: Service, network: Network, tmp_path:
     severed = Process(network.command(sys.executable, "-m", "server.demo.viewer", base), tmp_path / "severed.log")
     try:
         for viewer in (killed, severed):
-            wait_for("picture", lambda viewer=viewer: '"width": 1024' in viewer.output() or '"width": 2048' in viewer.output(), 30)
+            wait_for("picture", lambda viewer=viewer: f'"width": {SCALE.width}' in viewer.output(), 30)
         assert live.stream()["viewers"] == 2
         gone_at: list[float] = []
         began = time.monotonic()

@@ -34,7 +34,8 @@ class Echo:
 
     def __init__(self, network: Network) -> None:
         self.network = network
-        self._process = subprocess.Popen(network.command(sys.executable, "-c", ECHO, network.far), stdout=subprocess.PIPE, text=True)
+        command = network.command(sys.executable, "-c", ECHO, network.far)
+        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert self._process.stdout is not None
         self._address = (network.far, int(self._process.stdout.readline()))
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

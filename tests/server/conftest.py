@@ -37,7 +37,7 @@ class Served:
 
 def _is_worker(pid: int) -> bool:
     try:
-        return b"--fd" in Path(f"/proc/{pid}/cmdline").read_bytes()
+        return b"server.worker" in Path(f"/proc/{pid}/cmdline").read_bytes()
     except OSError:
         return False
 

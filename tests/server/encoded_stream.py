@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Callable, Iterator
 from fractions import Fraction
 from typing import Any
 
@@ -13,7 +14,8 @@ import numpy as np
 
 from renderer.color import YuvFormat
 from server.delivery.fanout import EncodedFrame
-from server.delivery.tracks import AUDIO, Tracks
+from server.delivery.tracks import Tracks
+from server.renditions import AUDIO
 from server.worker.h264 import H264Encoder
 from server.worker.picture import FramePool
 
@@ -60,31 +62,45 @@ class EncodedStream:
         self._keyframe_wanted = True
 
     async def _run(self) -> None:
-        encoder, pool = _encoder(self._size), FramePool(self._size)
-        opus, samples = _opus_encoder(), 0
+        sound = opus_packets(1e6)
+        waiting = next(sound)
         started = time.monotonic()
-        for number in range(1_000_000):
-            seconds = number / FPS
+        for frame in pictures(1e6, size=self._size, keyframe=self._take_keyframe_request):
+            seconds = (frame.timestamp - FIRST_TIMESTAMP) / 90_000
             await asyncio.sleep(max(0.0, started + seconds / self._speed - time.monotonic()))
-            picture, video = pool.take(YuvFormat("bt709", False))
-            white = seconds % 1.0 < FLASH_S - 1e-6
-            picture.y[...] = 235 if white else 60
-            picture.u[...], picture.v[...] = 128, 128
-            timestamp = FIRST_TIMESTAMP + round(seconds * 90_000)
-            keyframe, self._keyframe_wanted = self._keyframe_wanted, False
-            now, revision = time.monotonic(), self.revision
-            for data, is_keyframe in encoder.encode(video, timestamp, keyframe=keyframe):
-                self.tracks.publish("full/h264", EncodedFrame(data, timestamp, keyframe=is_keyframe, decoded_at=now,
-                                                              scene_revision=revision))
-            while self._sound and samples < (seconds + 1 / FPS) * 48_000:
-                for packet in opus.encode(_beep(samples)):
-                    ticks = FIRST_TIMESTAMP * 8 // 15 + samples
-                    self.tracks.publish(AUDIO, EncodedFrame(bytes(packet), ticks, keyframe=True, decoded_at=time.monotonic()))
-                samples += 960
+            frame.decoded_at, frame.scene_revision = time.monotonic(), self.revision
+            self.tracks.publish("full/h264", frame)
+            while (waiting.timestamp - FIRST_TIMESTAMP * 8 // 15) / 48_000 < seconds + 1 / FPS:
+                if self._sound:
+                    self.tracks.publish(AUDIO, waiting)
+                waiting = next(sound)
+
+    def _take_keyframe_request(self) -> bool:
+        wanted, self._keyframe_wanted = self._keyframe_wanted, False
+        return wanted
 
 
-def _encoder(size: tuple[int, int]) -> H264Encoder:
-    return H264Encoder(size, FPS, 1_000_000, YuvFormat("bt709", False))
+def pictures(seconds: float, *, size: tuple[int, int] = SIZE,
+             keyframe: Callable[[], bool] = lambda: False) -> Iterator[EncodedFrame]:
+    """As the worker encodes them; `keyframe` is asked before each."""
+    layout = YuvFormat("bt709", False)
+    encoder, pool = H264Encoder(size, FPS, 1_000_000, layout), FramePool(size)
+    for number in range(round(seconds * FPS)):
+        picture, video = pool.take(layout)
+        white = number / FPS % 1.0 < FLASH_S - 1e-6
+        picture.y[...] = 235 if white else 60
+        picture.u[...], picture.v[...] = 128, 128
+        timestamp = FIRST_TIMESTAMP + round(number * 90_000 / FPS)
+        for data, is_keyframe in encoder.encode(video, timestamp, keyframe=keyframe()):
+            yield EncodedFrame(data, timestamp, keyframe=is_keyframe, decoded_at=time.monotonic())
+
+
+def opus_packets(seconds: float, *, always: bool = False) -> Iterator[EncodedFrame]:
+    """The beeps, or one that never ends."""
+    opus = _opus_encoder()
+    for first in range(0, round(seconds * 48_000), 960):
+        for packet in opus.encode(_beep(first, always=always)):
+            yield EncodedFrame(bytes(packet), FIRST_TIMESTAMP * 8 // 15 + first, keyframe=True, decoded_at=time.monotonic())
 
 
 def _opus_encoder() -> Any:
@@ -94,9 +110,9 @@ def _opus_encoder() -> Any:
     return context
 
 
-def _beep(first: int) -> av.AudioFrame:
+def _beep(first: int, *, always: bool) -> av.AudioFrame:
     seconds = (first + np.arange(960)) / 48_000
-    tone = np.where(seconds % 1.0 < FLASH_S, 0.5 * np.sin(2 * np.pi * 1000 * seconds), 0.0)
+    tone = np.where(always | (seconds % 1.0 < FLASH_S), 0.5 * np.sin(2 * np.pi * 1000 * seconds), 0.0)
     frame = av.AudioFrame.from_ndarray(np.repeat(tone, 2)[None].astype(np.float32), format="flt", layout="stereo")
     frame.sample_rate, frame.pts, frame.time_base = 48_000, first, Fraction(1, 48_000)
     return frame

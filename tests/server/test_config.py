@@ -77,3 +77,19 @@ def test_bad_files(tmp_path: Path, text: str, complaint: str) -> None:
 def test_missing_file(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be read: no such file or directory"):
         load_settings({}, tmp_path / "none.toml", {})
+
+
+@pytest.mark.parametrize(("renditions", "complaint"), [
+    ([{"name": "a", "scale": 0.5}, {"name": "b", "scale": 1.0}], "expected the largest first"),
+    ([{"name": "a", "scale": 1.0}, {"name": "a", "scale": 0.5}], "expected different names"),
+    ([], "at least 1"),
+    ([{"name": "a", "scale": 2.0}], "renditions.0.scale is 2.0"),
+])
+def test_a_ladder_that_cannot_be_climbed_is_refused(renditions: list[dict[str, object]], complaint: str) -> None:
+    with pytest.raises(ConfigError, match=complaint):
+        load_settings({"renditions": renditions}, environment={})
+
+
+def test_a_ladder_of_ones_own() -> None:
+    settings = load_settings({}, environment={"MR360_RENDITIONS": '[{"name": "only", "scale": 1.0, "bitrate_bps": 8000000}]'})
+    assert [(rung.name, rung.bitrate_bps) for rung in settings.renditions] == [("only", 8_000_000)]

@@ -1,7 +1,5 @@
 """Recordings by their real process: what is in the files, and what is left of them after a crash."""
 
-# ruff: noqa: ASYNC221 - mounting a small disk is quick
-
 from __future__ import annotations
 
 import asyncio
@@ -10,7 +8,7 @@ import os
 import re
 import signal
 import subprocess
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -146,25 +144,29 @@ async def test_a_folder_that_cannot_be_made_is_told_and_not_tried_at_once(tmp_pa
         assert output.restarts == 0
 
 
-async def test_a_full_disk_is_the_output_s_trouble_alone(tmp_path: Path) -> None:
-    small = tmp_path / "small"
-    small.mkdir()
-    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", small], capture_output=True, check=False).returncode:
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 64 KiB."""
+    folder = tmp_path / "small"
+    folder.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", folder], check=False, capture_output=True).returncode:
         pytest.skip("no right to mount a small disk")
-    try:
-        async with EncodedStream(speed=4) as stream, recording(stream, small) as full, recording(stream, tmp_path) as healthy:
-            (small / "ballast").write_bytes(bytes(50_000))
-            await until(lambda: full.state == "retrying")
-            assert full.detail == "no space left on device"
-            frames = healthy.frames
-            await until(lambda: healthy.frames > frames + FPS)
-            assert (healthy.state, healthy.restarts) == ("live", 0)
-            (small / "ballast").unlink()
-            for old in small.glob("show-*"):
-                old.unlink()
-            await until(lambda: full.live)
-    finally:
-        subprocess.run(["umount", small], check=True)
+    yield folder
+    subprocess.run(["umount", folder], check=True)
+
+
+async def test_a_full_disk_is_the_output_s_trouble_alone(small_disk: Path, tmp_path: Path) -> None:
+    async with EncodedStream(speed=4) as stream, recording(stream, small_disk) as full, recording(stream, tmp_path) as healthy:
+        ballast = small_disk / "ballast"
+        ballast.write_bytes(bytes(50_000))
+        await until(lambda: full.state == "retrying")
+        assert full.detail == "no space left on device"
+        frames = healthy.frames
+        await until(lambda: healthy.frames > frames + FPS)
+        assert (healthy.state, healthy.restarts) == ("live", 0)
+        for file in small_disk.iterdir():
+            file.unlink()
+        await until(lambda: full.live)
 
 
 async def test_sound_that_comes_begins_another_file(tmp_path: Path) -> None:
@@ -197,4 +199,17 @@ async def test_an_output_waits_for_a_source_without_a_process(tmp_path: Path) ->
         assert len(stream.tracks.fanout("full/h264")) == 1
         assert stream.tracks.viewers == 0
         await output.stop()
+        assert not len(stream.tracks.fanout("full/h264"))
+
+
+async def test_changes_at_the_same_time_leave_one_process_and_none_after_the_end(tmp_path: Path) -> None:
+    async with EncodedStream() as stream, recording(stream, tmp_path) as output:
+        await until(lambda: output.live)
+        specs = [output.spec.model_copy(update={"prefix": f"p{number}"}) for number in range(3)]
+        await asyncio.gather(*(output.replace(spec, None) for spec in specs))
+        await until(lambda: output.live)
+        assert str(output.detail).startswith("p2-")
+        assert len(stream.tracks.fanout("full/h264")) == 1
+        await asyncio.gather(output.replace(specs[0], None), output.stop())
+        await asyncio.sleep(0.3)
         assert not len(stream.tracks.fanout("full/h264"))

@@ -55,8 +55,9 @@ async def test_nothing_is_rendered_for_nobody(served: Served, client: httpx.Clie
 async def test_events_begin_with_the_present_state(served: Served, client: httpx.Client) -> None:
     client.post(OBJECTS, json={"id": "ball", "mesh": "sphere"})
     async with connect(socket_url(served, "events")) as socket:
-        scene, source, viewers, outputs = [await receive(socket) for _ in range(4)]
-    assert (scene["type"], source["type"], viewers["type"], outputs["type"]) == ("scene", "source", "viewers", "outputs")
+        scene, source, outputs, viewers = [await receive(socket) for _ in range(4)]
+    assert (scene["type"], source["type"], outputs["type"], viewers["type"]) == ("scene", "source", "outputs", "viewers")
+    assert outputs["outputs"] == []
     assert scene["scene"] == client.get("/api/streams/live/scene").json()
     assert source["state"] == "live"
     assert viewers["count"] == 0
@@ -64,7 +65,7 @@ async def test_events_begin_with_the_present_state(served: Served, client: httpx
 
 async def test_events_tell_every_kind_of_change(served: Served, client: httpx.Client) -> None:
     async with connect(socket_url(served, "events")) as socket:
-        await receive_type(socket, "outputs")
+        await receive_type(socket, "viewers")
         client.post(OBJECTS, json={"id": "ball", "mesh": "sphere"})
         event = await receive(socket)
         assert (event["type"], event["id"], event["object"]["mesh"]) == ("object", "ball", "sphere")

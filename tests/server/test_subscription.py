@@ -9,7 +9,8 @@ import pytest
 from server.delivery.fanout import EncodedFrame
 from server.delivery.reception import Report
 from server.delivery.subscription import Choice, PictureFeed, TrackFeed, sound_feed
-from server.delivery.tracks import AUDIO, Tracks
+from server.delivery.tracks import Tracks
+from server.renditions import AUDIO
 
 NAMES = ["full", "medium", "low"]
 

@@ -252,7 +252,8 @@ async def test_edges_ports_and_too_many_offers(tmp_path_factory: pytest.TempPath
             assert [answer.status_code for answer in answers] == [201, 201, 307, 307, 429]
             assert re.findall(r"a=candidate:\S+ 1 udp \d+ (\S+ \d+)", "".join(answer.text for answer in answers)) == [
                 "203.0.113.7 47310", "203.0.113.7 47311"]
-            assert [answer.headers["location"] for answer in answers[2:4]] == ["https://a.example/whep/live", "https://b.example/live"]
+            edges = {"https://a.example/whep/live", "https://b.example/live"}       # one at random
+            assert {answer.headers["location"] for answer in answers[2:4]} <= edges
             assert_problem(answers[4], 429, "too many offers")
             assert int(answers[4].headers["retry-after"]) >= 1
     finally:

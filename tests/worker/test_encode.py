@@ -10,6 +10,7 @@ from renderer.color import YuvFormat
 from server.worker.encode import Composited, EncodeThread, Plan
 from server.worker.h264 import H264Encoder, default_bitrate
 from server.worker.picture import video_frame
+from server.worker.vp8 import Vp8Encoder
 from tests.renderer.frames import noise_frame, yuv_from_linear
 
 
@@ -105,3 +106,23 @@ def test_noise_at_full_size_stays_near_the_bitrate() -> None:
         units = encoder.encode(video_frame(picture), seed * 3000, keyframe=False)
         sizes.append(sum(len(payload) for payload, _ in units))
     assert sum(sizes[5:]) * 8 / (25 / 30) < 3 * 4_000_000
+
+
+@pytest.mark.parametrize("layout", [YuvFormat("bt709", False), YuvFormat("bt601", True)])
+def test_vp8_has_the_picture_in_the_colours_that_receivers_expect(layout: YuvFormat) -> None:
+    """VP8 has no tags: receivers take all of it for BT.601 of limited range."""
+    given, payloads = composited((640, 320), 0, layout), []
+    thread = EncodeThread(lambda payload, keyframe, item: payloads.append(payload), codec="vp8")
+    try:
+        thread.pictures.put(given)
+        deadline = time.monotonic() + 10
+        while not payloads and time.monotonic() < deadline:
+            time.sleep(0.005)
+    finally:
+        thread.stop()
+    frames = av.CodecContext.create("vp8", "r").decode(av.Packet(payloads[0]))
+    expected = composited((640, 320), 0, YuvFormat("bt601", False)).picture
+    luma = frames[0].to_ndarray()[:320].astype(int)
+    assert np.abs(luma - expected.y).mean() < 2
+    with pytest.raises(ValueError, match="expected YuvFormat"):
+        Vp8Encoder((64, 32), 30, 1_000_000, YuvFormat("bt709", False))

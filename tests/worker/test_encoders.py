@@ -11,6 +11,7 @@ import av
 import numpy as np
 import pytest
 
+from renderer.color import YuvFormat
 from server.renditions import Rendition
 from server.worker import encoders as encoders_module
 from server.worker.encode import Composited
@@ -186,6 +187,40 @@ def test_counted_are_the_frames_of_the_best_track_that_is_wanted(feed: Feed) -> 
     feed.put("medium/h264")
     eventually(lambda: feed.encoders.frames_encoded == 4)
     assert (feed.encoders.frames_dropped, feed.encoders.frames_lost) == (0, 0)
+
+
+def test_a_frame_goes_back_to_the_pool_when_the_last_encoder_has_let_go() -> None:
+    hold, held = threading.Event(), threading.Event()
+
+    def on_packet(track: str, payload: bytes, is_keyframe: bool, item: Composited) -> None:
+        if track == "low/h264":
+            held.set()
+            hold.wait(20)
+        else:
+            done.append(track)
+
+    done: list[str] = []
+    slow, pool = Encoders(on_packet, LADDER), FramePool(SIZE)
+    try:
+        slow.want(["full/h264", "full/vp8", "low/h264"])
+        picture, video = pool.take(noise_frame(SIZE, 0).format)
+        slow.put(Composited(picture, video, 1, 3000, time.monotonic(), 0.0))
+        first = video.planes[0].buffer_ptr
+        del picture, video
+        assert held.wait(20)
+        eventually(lambda: len(done) == 2)
+        taken = [pool.take(YuvFormat()) for _ in range(3)]
+        assert first not in [video.planes[0].buffer_ptr for _, video in taken]
+        hold.set()
+
+        def is_back() -> bool:
+            taken.append(pool.take(YuvFormat()))
+            return taken[-1][1].planes[0].buffer_ptr == first
+
+        eventually(is_back)
+    finally:
+        hold.set()
+        slow.close()
 
 
 def test_unknown_tracks_are_refused_by_name_and_harm_nothing(feed: Feed, caplog: pytest.LogCaptureFixture) -> None:

@@ -39,6 +39,23 @@ def test_a_smaller_picture_has_the_same_colours_and_tags(layout: YuvFormat) -> N
     assert chroma[20, 10] == pytest.approx(full.u[30, 10], abs=1)
 
 
+@pytest.mark.parametrize("layout", [YuvFormat("bt709", False), YuvFormat("bt709", True), YuvFormat("bt601", True)])
+@pytest.mark.parametrize("size", [(256, 128), (128, 64)])
+def test_other_matrix_and_range_mean_the_same_colours(layout: YuvFormat, size: tuple[int, int]) -> None:
+    linear, wanted = np.zeros((128, 256, 3)), YuvFormat("bt601", False)
+    linear[:, :128], linear[:, 128:] = [0.6, 0.05, 0.05], [0.05, 0.2, 0.7]
+    frame = Scaler((256, 128), size, layout, wanted).frame(video_frame(yuv_from_linear(linear, layout)))
+    assert yuv_format(frame) == wanted
+    expected, planes = yuv_from_linear(linear, wanted), frame.to_ndarray()
+    height, width = size[1], size[0]
+    luma, chroma = planes[:height], planes[height:].reshape(2, height // 2, width // 2)
+    for share in (0.2, 0.8):
+        column, given = round(share * width), round(share * 256)
+        assert luma[height // 2, column] == pytest.approx(expected.y[64, given], abs=2)
+        assert chroma[0, height // 4, column // 2] == pytest.approx(expected.u[32, given // 2], abs=2)
+        assert chroma[1, height // 4, column // 2] == pytest.approx(expected.v[32, given // 2], abs=2)
+
+
 def test_what_is_finer_than_the_smaller_pixels_becomes_their_mean() -> None:
     stripes = noise_frame((256, 128), 0)
     stripes.y[:, 0::2], stripes.y[:, 1::2] = 20, 200

@@ -1,0 +1,143 @@
+"""Which outputs are accepted, and how their secrets stay out of sight."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from server.config import ConfigError, load_settings
+from server.outputs.spec import OutputSpec, PlaybackEntry, masked_output_url
+
+
+@pytest.mark.parametrize(("given", "kind", "url"), [
+    ({"url": "rtmp://h/live/key"}, "rtmp", "rtmp://h/live/key"),
+    ({"url": "RTMPS://h:443/app/key?a=b"}, "rtmp", "rtmps://h:443/app/key?a=b"),
+    ({"url": "rtsp://u:p@h/x"}, "rtsp", "rtsp://u:p@h/x"),
+    ({"url": "whip+https://h/whip/live"}, "whip", "https://h/whip/live"),
+    ({"url": "http://h/whip/live", "kind": "whip"}, "whip", "http://h/whip/live"),
+    ({"kind": "record", "prefix": "show"}, "record", None),
+])
+def test_kinds(given: dict[str, Any], kind: str, url: str | None) -> None:
+    spec = OutputSpec.model_validate({"id": "a", **given})
+    assert (spec.kind, spec.url, spec.rendition, spec.enabled) == (kind, url, "full", True)
+
+
+@pytest.mark.parametrize(("given", "complaint"), [
+    ({}, "Field required"),
+    ({"url": "http://h/x"}, "url scheme is 'http', expected one of rtmp, rtmps, rtsp, rtsps, whip+http, whip+https"),
+    ({"url": "file:///etc/passwd"}, "url scheme is 'file'"),
+    ({"url": "rtmp://h/live/key", "kind": "whip"}, "url scheme is 'rtmp', expected http or https for kind whip"),
+    ({"url": "rtmp://h/live"}, "url is incomplete, expected rtmp://HOST/APP/KEY"),
+    ({"url": "rtmp:///live/key"}, "names no host"),
+    ({"url": "rtmp://h:0/live/key"}, "port 0"),
+    ({"url": "rtmp://h:99999/live/key"}, "url is no URL"),
+    ({"url": "rtmp://h/live/a b"}, "blanks"),
+    ({"url": "rtmp://h/live/***"}, "url is masked"),
+    ({"url": "rtmp://h/live/" + "k" * 3000}, "characters, expected at most 2048"),
+    ({"url": "nonsense"}, "url is no URL"),
+    ({"url": 5}, "expected a URL as text"),
+    ({"kind": "whip"}, "url is missing"),
+    ({"kind": "record"}, "a recording has no url but a prefix"),
+    ({"kind": "record", "prefix": "../up"}, "String should match pattern"),
+    ({"kind": "record", "prefix": "a/b"}, "String should match pattern"),
+    ({"kind": "record", "prefix": ".hidden"}, "String should match pattern"),
+    ({"kind": "record", "prefix": "a", "url": "rtsp://h/x"}, "a recording has no url"),
+    ({"url": "rtsp://h/x", "prefix": "a"}, "prefix is for kind record"),
+    ({"url": "rtsp://h/x", "token": "t"}, "token is for kind whip"),
+    ({"url": "whip+http://user:word@h/x"}, "expected a token beside it"),
+    ({"url": "whip+http://h/x", "token": "a\r\nb"}, "expected a bearer token"),
+    ({"url": "rtsp://h/x", "rendition": "huge"}, "rendition is 'huge', expected one of full, medium, low"),
+    ({"url": "rtsp://h/x", "tokn": "t"}, "Extra inputs"),
+    ({"url": "rtsp://h/x", "id": "a/b"}, "String should match pattern"),
+    ({"url": "rtsp://h/x", "playback": [{"protocol": "whep", "url": "javascript://x/alert(1)"}]}, "playback url scheme"),
+    ({"url": "rtsp://h/x", "playback": [{"protocol": "whep", "url": "rtsp://h/x"}]}, "expected http or https for whep"),
+    ({"url": "rtsp://h/x", "playback": [{"protocol": "hls", "url": "https://u:p@h/x"}]}, "has credentials"),
+    ({"url": "rtsp://h/x", "playback": [{"protocol": "hls", "url": "https://h/x"}] * 9}, "at most 8"),
+])
+def test_refusals(given: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(ValidationError) as error:
+        OutputSpec.model_validate({"id": "a", **given})
+    assert complaint in str(error.value)
+
+
+@pytest.mark.parametrize(("url", "shown"), [
+    ("rtmp://h/live/key", "rtmp://h/live/***"),
+    ("rtmps://u:p@h:443/app/inst/key?token=x", "rtmps://***@h:443/app/inst/***"),
+    ("rtsp://u:p@h/x?token=abc&y=1", "rtsp://***@h/x?token=***&y=1"),
+    ("https://h/whip/live", "https://h/whip/live"),
+    ("https://customer.example/0123456789abcdef0123456789abcdef/webRTC/publish", "https://customer.example/***/webRTC/publish"),
+])
+def test_urls_are_shown_without_secrets(url: str, shown: str) -> None:
+    assert masked_output_url(url) == shown
+
+
+def test_texts_are_shown_without_secrets() -> None:
+    rtmp = OutputSpec(id="a", kind="rtmp", url="rtmp://user:word@h/live/sekret?sig=hidden")
+    text = rtmp.conceal("cannot open rtmp://user:word@h/live/sekret?sig=hidden (publish sekret with hidden, word)")
+    assert not any(secret in text for secret in ("sekret", "hidden", "word@"))
+    whip = OutputSpec(id="a", kind="whip", url="https://h/0123456789abcdef0123456789abcdef", token="tok.en")
+    assert "0123456789" not in whip.conceal("404 for /0123456789abcdef0123456789abcdef with tok.en")
+    assert "tok.en" not in whip.conceal("404 for /x with tok.en")
+
+
+def test_playback_entries_of_any_protocol() -> None:
+    assert PlaybackEntry(protocol="srt", url="srt://h:9000?streamid=x").rendition is None
+
+
+def test_outputs_in_the_settings(tmp_path: Path) -> None:
+    file = tmp_path / "mr360.toml"
+    file.write_text('''
+recordings_dir = "/recordings"
+[[outputs]]
+id = "sfu"
+url = "whip+https://sfu.example/whip/live"
+token = "abc"
+playback = [{protocol = "whep", url = "https://sfu.example/whep/live"}]
+[[outputs]]
+id = "rec"
+stream = "second"
+kind = "record"
+prefix = "show"
+[[playback]]
+protocol = "hls"
+url = "https://cdn.example/live.m3u8"
+''')
+    settings = load_settings({}, file, {})
+    assert [(output.stream, output.id, output.spec.kind) for output in settings.outputs] == [
+        ("live", "sfu", "whip"), ("second", "rec", "record")]
+    assert settings.outputs[0].spec.token == "abc"
+    assert settings.recordings_dir == Path("/recordings")
+    assert settings.playback[0].stream == "live"
+    assert settings.max_outputs == 8
+
+
+SECRET = "s3cr3t-value"
+
+
+@pytest.mark.parametrize(("outputs", "complaint"), [
+    ([{"id": "a", "url": f"rtmp://h/live/{SECRET} x"}], "blanks"),
+    ([{"id": "a", "url": "whip+http://h/x", "token": f"{SECRET} "}], "expected a bearer token"),
+    ([{"id": "a", "url": "whip+http://h/x", "tokn": SECRET}], "outputs.0.tokn"),
+    ([{"url": f"rtmp://h/live/{SECRET}"}], "outputs.0.id"),
+    ([{"id": "a", "url": f"rtmp://h/live/{SECRET}", "enabled": "perhaps"}], "outputs.0.enabled"),
+    ([{"id": "a", "url": f"rtmp://h/live/{SECRET}"}] * 2, "has 2 with the id 'a'"),
+    ([{"id": str(number), "url": f"rtmp://h/live/{SECRET}"} for number in range(9)], "expected at most max_outputs, 8"),
+    (SECRET, "outputs (config)"),
+])
+def test_bad_outputs_in_the_settings_are_told_without_secrets(outputs: Any, complaint: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        load_settings({"outputs": outputs}, environment={})
+    assert complaint.replace("config", "command line") in str(error.value)
+    assert SECRET not in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_outputs_in_the_environment_are_json() -> None:
+    with pytest.raises(ConfigError) as error:
+        load_settings({}, environment={"MR360_OUTPUTS": f"[{SECRET}"})
+    assert SECRET not in str(error.value)
+    settings = load_settings({}, environment={"MR360_OUTPUTS": '[{"id": "a", "kind": "record", "prefix": "p"}]'})
+    assert settings.outputs[0].spec.prefix == "p"

@@ -1,0 +1,97 @@
+"""What the sender puts on the wire: paced frames, reports on the stream's clock, retransmissions within limits."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator
+
+import pytest
+import pytest_asyncio
+from aiortc.rtp import RTCP_PSFB_APP, RtcpPsfbPacket, RtcpRrPacket, RtcpSrPacket, pack_remb_fci
+from sender_pair import Pair, access_units, connected_pair, until
+
+from server.delivery.fanout import EncodedFrame
+
+INTERVAL_S = 1 / 30
+TICKS = 3000
+
+
+@pytest_asyncio.fixture
+async def pair() -> AsyncIterator[Pair]:
+    async with connected_pair() as connected:
+        yield connected
+
+
+def large_frame(timestamp: int) -> EncodedFrame:
+    return EncodedFrame(b"\0\0\0\1\x65" + bytes(range(1, 251)) * 1000, timestamp, keyframe=True, decoded_at=time.monotonic())
+
+
+async def test_a_large_frame_is_spread_over_the_time_to_the_next_one(pair: Pair) -> None:
+    """By the sender's own time stamps: when packets arrive here depends on what else the loop has to do."""
+    for number in range(3):
+        pair.tracks.publish("full/h264", large_frame(number * TICKS))
+        await until(lambda number=number: sum(packet.marker for packet in pair.rtp) == number + 1)
+    last = [packet for packet in pair.rtp if packet.timestamp == 2 * TICKS]
+    assert len(last) > 150
+    times = [packet.extensions.abs_send_time / 2**18 for packet in last]
+    assert (times[-1] - times[0]) % 64 > 0.5 * INTERVAL_S
+    bursts = len(set(times))
+    assert bursts >= 8
+    assert len(last) / bursts < 25
+
+
+async def test_a_small_frame_leaves_at_once(pair: Pair) -> None:
+    for number in range(3):
+        await pair.send(b"\0\0\0\1\x65" + bytes(range(1, 101)) * 60, number * TICKS)
+    last = [packet for packet in pair.rtp if packet.timestamp == 2 * TICKS]
+    assert 4 <= len(last) <= 8
+    assert len({packet.extensions.abs_send_time for packet in last}) == 1
+
+
+async def test_sender_reports_tell_when_the_frame_was_captured(pair: Pair) -> None:
+    """Not when it was sent: this one was captured half a second earlier."""
+    reports: list[RtcpSrPacket] = []
+    handle = pair.receiver._handle_rtcp_packet
+
+    async def record(packet: object) -> None:
+        if isinstance(packet, RtcpSrPacket):
+            reports.append(packet)
+        await handle(packet)    # type: ignore[arg-type]
+
+    pair.receiver._handle_rtcp_packet = record      # type: ignore[method-assign]
+    captured_at, wall = time.monotonic() - 0.5, time.time() - 0.5
+    pair.tracks.publish("full/h264", EncodedFrame(access_units(1)[0], 5 * 2**32 + 70, keyframe=True, decoded_at=captured_at))
+    await until(lambda: reports)
+    info = reports[0].sender_info
+    assert info.rtp_timestamp == 70
+    assert info.ntp_timestamp / 2**32 - 2_208_988_800 == pytest.approx(wall, abs=0.1)
+
+
+async def test_reports_and_estimates_reach_the_feed(pair: Pair) -> None:
+    for number, unit in enumerate(access_units(4)):
+        await pair.send(unit, number * TICKS)
+    await until(lambda: pair.feed.reception.rtt_s is not None)
+    assert 0 <= pair.feed.reception.rtt_s < 5
+    remb = RtcpPsfbPacket(fmt=RTCP_PSFB_APP, ssrc=1, media_ssrc=0, fci=pack_remb_fci(2_500_000, [pair.sender._ssrc]))
+    await pair.receiver._send_rtcp(remb)
+    await until(lambda: pair.feed.reception.remb_bps)
+    assert pair.feed.reception.remb_bps == pytest.approx(2_500_000, rel=0.01)
+
+
+async def test_nacks_beyond_the_allowance_are_left_alone(pair: Pair) -> None:
+    units = access_units(3)
+    for number, unit in enumerate(units):
+        await pair.send(unit, number * TICKS)
+    sent, lost = len(pair.rtp), [packet.sequence_number for packet in pair.rtp]
+    for _ in range(20):
+        await pair.receiver._send_rtcp_nack(pair.sender._ssrc, lost)
+    await until(lambda: pair.feed.reception.nacked >= 20 * sent)
+    await asyncio.sleep(0.2)
+    assert 0 < pair.feed.reception.packets_resent < 10 * sent
+    assert pair.feed.reception.bytes_resent < 100_000 + 0.36 * pair.feed.reception.bytes_sent
+
+
+async def test_a_report_of_others_is_not_ours(pair: Pair) -> None:
+    await pair.sender._handle_rtcp_packet(RtcpRrPacket(ssrc=1, reports=[]))
+    assert pair.feed.reception.heard_at is None
