@@ -92,7 +92,7 @@ def test_loss(echo: Echo) -> None:
     echo.network.behave(Link(loss=0.1))
     count = len(echo.round_trips_ms(2000, 0.0005, size=200))
     assert count == pytest.approx(1800, abs=60), "10 % of 2000, within four standard deviations and a half"
-    assert echo.network.behave()["down"]["lost"] == 2000 - count
+    assert echo.network.behave()["down"]["lost"] == pytest.approx(2000 - count, abs=5), "but for what the kernel itself sends"
 
 
 def test_rate_and_its_queue(echo: Echo) -> None:
@@ -102,7 +102,8 @@ def test_rate_and_its_queue(echo: Echo) -> None:
     came = echo.round_trips_ms(1000, 0.001, size=972)       # 1000 bytes with headers, 125 of them a second at 1 Mbit/s
     took_s = time.monotonic() - began
     assert 60 < len(came) <= 125 * (took_s + 0.1) + 2, "more than the link carries"
-    assert len(came) + echo.network.behave()["down"]["overflowed"] == 1000
+    overflowed = echo.network.behave()["down"]["overflowed"]
+    assert len(came) + overflowed == pytest.approx(1000, abs=5), "but for what the kernel itself sends"
     assert 80.0 < np.percentile(came, 90) < 250.0
 
 
