@@ -80,7 +80,7 @@ bench-latency: setup-test ## camera to screen in Chromium, by a time code in the
 	$(BIN)/python -m server.bench.latency $(ARGS)
 
 bench-networks: setup-test ## Chromium behind loss, delay, an outage and a narrow link at full size; needs root
-	MR360_NETWORKS=full $(BIN)/python -m pytest -rA tests/e2e/test_bad_networks.py $(PYTEST_ARGS)
+	BENCH_NETWORKS=full $(BIN)/python -m pytest -rA tests/e2e/test_bad_networks.py $(PYTEST_ARGS)
 
 soak: setup ## memory of the service while its scene, methods and viewers change; ARGS="--minutes 10"
 	$(BIN)/python -m server.bench.service_soak $(ARGS)

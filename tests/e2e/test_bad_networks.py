@@ -1,6 +1,6 @@
 """Loss, delay, outages, narrow links and viewers that vanish: each viewer in a network of its own.
 
-`make test` uses a small picture; with MR360_NETWORKS=full (`make bench-networks`) it is 2048×1024 at 30 frames/s and 10 Mbit/s, for
+`make test` uses a small picture; with BENCH_NETWORKS=full (`make bench-networks`) it is 2048×1024 at 30 frames/s and 10 Mbit/s, for
 as long as the requirements say, and the figures are printed.
 """
 
@@ -30,7 +30,7 @@ from server.demo.sample_scene import sample_scene
 
 pytestmark = pytest.mark.e2e
 
-FULL = os.environ.get("MR360_NETWORKS") == "full"
+FULL = os.environ.get("BENCH_NETWORKS") == "full"
 SETTLED_S = 3.0
 LOSSY, DELAY_MS = 0.02, 40.0
 LEAST_DECODED, LONGEST_FREEZE_S = 0.97, 1.0
@@ -101,11 +101,11 @@ def remote(playwright: Playwright, network: Network, live: Service) -> Iterator[
 
 @pytest.fixture
 def report(request: pytest.FixtureRequest) -> Callable[..., None]:
-    """Keep a line of figures; `make bench-networks` prints them and writes them to the file of MR360_NETWORKS_JSON."""
+    """Keep a line of figures; `make bench-networks` prints them and writes them to the file of BENCH_NETWORKS_JSON."""
     def kept(**figures: object) -> None:
         line = json.dumps({"case": request.node.name, "size": f"{SCALE.width}x{SCALE.width // 2}", "fps": SCALE.fps, **figures})
         print(line)
-        if file := os.environ.get("MR360_NETWORKS_JSON"):
+        if file := os.environ.get("BENCH_NETWORKS_JSON"):
             with Path(file).open("a") as lines:
                 lines.write(line + "\n")
     return kept
@@ -179,7 +179,7 @@ def test_a_narrow_link_gets_a_smaller_rendition_and_nobody_else_does(
     assert after["framesDecoded"] - before["framesDecoded"] >= 0.9 * sent
     for one in widths:
         assert set(one) == {SCALE.width}
-        assert len(one) >= 0.8 * SCALE.fps * (ended - began)
+        assert len(one) >= 0.8 * sent
 
 
 def test_viewers_that_vanish_are_gone(live: Service, network: Network, tmp_path: Path, report: Callable[..., None]) -> None:
