@@ -15,8 +15,9 @@ from server.delivery.reception import Report
 LOST_BADLY = 0.35           # one report is enough
 LOST = 0.08                 # two reports in a row: bad luck is shorter
 CLEAN = 0.03
-REMB_SHORT = 0.9            # an estimate below this part of the rendition's rate
-REMB_SHORT_S = 1.2          # for so long
+# An estimate below such a part of the rendition's rate for so many seconds. A browser that takes the jitter of retransmissions for
+# a queue goes down by 15 % and comes back.
+REMB_SHORT = ((0.75, 1.2), (0.9, 5.0))
 USABLE = 0.9                # of what the network is thought to carry
 FIRST_WAIT_S, LONGEST_WAIT_S = 8.0, 240.0
 TRIAL_S = 8.0               # a step up that has to be taken back within this time has failed
@@ -45,7 +46,7 @@ class Adaptation:
         self._clean_since = now
         self._stepped_up_at: float | None = None
         self._lost_before = False
-        self._short_since: float | None = None
+        self._short_since: dict[float, float] = {}      # part of the rate: since when the estimate has been below it
         self._settled_at = now
 
     def take(self, report: Report, estimate: Estimate | None, rates: Sequence[float]) -> int:
@@ -73,11 +74,12 @@ class Adaptation:
         lost_again = self._lost_before and report.fraction_lost > LOST
         self._lost_before = report.fraction_lost > LOST
         believed = estimate is not None and report.at - estimate.at <= FRESH_S and report.at - self._settled_at >= SETTLING_S
-        if estimate is None or not believed or estimate.bps >= REMB_SHORT * rates[self.rendition]:
-            self._short_since = None
-        elif self._short_since is None:
-            self._short_since = report.at
-        short = self._short_since is not None and report.at - self._short_since >= REMB_SHORT_S
+        short = False
+        for part, seconds in REMB_SHORT:
+            if estimate is None or not believed or estimate.bps >= part * rates[self.rendition]:
+                self._short_since.pop(part, None)
+            else:
+                short = short or report.at - self._short_since.setdefault(part, report.at) >= seconds
         return report.fraction_lost > LOST_BADLY or lost_again or short
 
     def _step_down(self, report: Report, estimate: Estimate | None, rates: Sequence[float]) -> None:
@@ -107,4 +109,5 @@ class Adaptation:
     def _forget(self, now: float) -> None:
         """What was heard before says nothing of what comes now."""
         self._clean_since = self._settled_at = now
-        self._lost_before, self._short_since = False, None
+        self._lost_before = False
+        self._short_since.clear()

@@ -9,12 +9,13 @@ import inspect
 from collections.abc import Callable
 
 from aiortc import MediaStreamTrack, RTCRtpSender, rtcpeerconnection, rtcrtpreceiver
+from aiortc.codecs import HEADER_EXTENSIONS
 from aiortc.codecs.base import Decoder
 from aiortc.rtcdtlstransport import RTCDtlsTransport
-from aiortc.rtcrtpparameters import RTCRtpCodecParameters
+from aiortc.rtcrtpparameters import RTCRtpCodecParameters, RTCRtpHeaderExtensionParameters
 
 from server.delivery.feed import FeedTrack
-from server.delivery.sender import PacketSender
+from server.delivery.sender import PLAYOUT_DELAY, PacketSender
 
 # What `PacketSender` overrides or calls; and the private names under which aiortc's own sender keeps what it replaces.
 _SENDER_METHODS = {"send", "stop", "getStats", "_handle_rtcp_packet", "_run_rtp", "_run_rtcp", "replaceTrack", "setTransport"}
@@ -34,6 +35,10 @@ def install() -> None:
             or not set(vars(RTCDtlsTransport)) >= _TRANSPORT_METHODS):
         raise RuntimeError("aiortc's RTCRtpSender has changed, expected version 1.16")
     vars(rtcpeerconnection)["RTCRtpSender"] = _make_sender
+    known = HEADER_EXTENSIONS["video"]      # what is offered and answered; numbers are of both kinds of media together
+    if all(extension.uri != PLAYOUT_DELAY for extension in known):
+        free = max(extension.id for kind in HEADER_EXTENSIONS.values() for extension in kind) + 1
+        known.append(RTCRtpHeaderExtensionParameters(id=free, uri=PLAYOUT_DELAY))
 
 
 def _make_sender(track_or_kind: MediaStreamTrack | str, transport: RTCDtlsTransport) -> RTCRtpSender:

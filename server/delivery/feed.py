@@ -20,6 +20,10 @@ class Feed(Protocol):
     clock: StreamClock
     reception: Reception
 
+    @property
+    def at_once(self) -> bool:
+        """Pictures are to be shown as soon as they are whole. With sound a viewer has to hold them back for it."""
+
     async def next_frame(self) -> EncodedFrame:
         """The next one to send."""
 

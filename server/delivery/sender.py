@@ -56,6 +56,9 @@ REPORT_EVERY_S = (0.5, 1.5)  # RFC 3550: at random, so that many senders do not 
 
 _ABS_SEND_TIME = "http://www.webrtc.org/experiments/rtp-hdrext/abs-send-time"
 _MID = "urn:ietf:params:rtp-hdrext:sdes:mid"
+PLAYOUT_DELAY = "http://www.webrtc.org/experiments/rtp-hdrext/playout-delay"
+# Least and most, in 12 bits each, of 10 ms. Zero and zero has browsers show a picture as soon as it is whole.
+_AT_ONCE, _WITH_SOUND = bytes(3), (50).to_bytes(3)
 
 
 class PacketSender(RTCRtpSender):
@@ -70,7 +73,7 @@ class PacketSender(RTCRtpSender):
         self._clock_rate = 90_000
         self._payload_type = self._rtx_payload_type = -1
         self._mid_extension = b""
-        self._send_time_id = 0
+        self._send_time_id = self._playout_delay_id = 0
         # In the lower half, as RFC 3711 implementations lose track of a wrap among the first packets.
         self._next_sequence, self._next_rtx_sequence = random.getrandbits(15), random.getrandbits(15)
         self._sent = SentFrames()
@@ -96,6 +99,8 @@ class PacketSender(RTCRtpSender):
                 self._mid_extension = _extension(extension.id, parameters.muxId.encode())
             elif extension.uri == _ABS_SEND_TIME:
                 self._send_time_id = extension.id
+            elif extension.uri == PLAYOUT_DELAY:
+                self._playout_delay_id = extension.id
         self.transport._register_rtp_sender(self, parameters)
         self._tasks = [asyncio.create_task(self._run(step)) for step in (self._send_media, self._send_reports)]
 
@@ -122,7 +127,7 @@ class PacketSender(RTCRtpSender):
                 if report.ssrc == self._ssrc:
                     sent_at = self._reports_sent.get(report.lsr)
                     rtt_s = None if sent_at is None or not report.dlsr else now - sent_at - report.dlsr / 65536
-                    reception.report(now, report.fraction_lost / 256, report.packets_lost, report.jitter, rtt_s)
+                    reception.report(now, report.packets_lost, report.highest_sequence, report.jitter, rtt_s)
         elif isinstance(packet, RtcpRtpfbPacket) and packet.fmt == RTCP_RTPFB_NACK:
             for sequence_number in packet.lost:
                 await self._send_again(sequence_number)
@@ -211,8 +216,11 @@ class PacketSender(RTCRtpSender):
         await self.transport._send_rtp(b"".join((header, extensions, payload)))
 
     def _extensions(self) -> bytes:
-        """RFC 8285, one-byte headers: the media id, and the time of sending, from which the viewer estimates its bandwidth."""
+        """RFC 8285, one-byte headers: the media id, the time of sending, from which the viewer estimates its bandwidth, and how
+        long it may hold a picture back."""
         elements = self._mid_extension
+        if self._playout_delay_id:
+            elements += _extension(self._playout_delay_id, _AT_ONCE if self._feed.at_once else _WITH_SOUND)
         if self._send_time_id:
             elements += _extension(self._send_time_id, ((current_ntp_time() >> 14) & 0xFFFFFF).to_bytes(3))
         if not elements:

@@ -16,6 +16,8 @@ from server.delivery.stream_clock import StreamClock
 from server.delivery.tracks import Tracks, video_track
 from server.renditions import AUDIO
 
+FLOWING_S = 2.0     # sound that has been silent for longer has ended
+
 
 @dataclass(frozen=True, slots=True)
 class Choice:
@@ -35,6 +37,7 @@ class PictureFeed:
                  delivered: Callable[[float], None]) -> None:
         """`names` of the renditions, best first; `delivered` is told, per frame, the seconds since its source frame was decoded."""
         self.codec = codec
+        self.sound: TrackFeed | None = None     # of the same viewer
         self.clock = tracks.clock
         self.reception = Reception()
         self.reception.heard = self._adapt
@@ -48,6 +51,10 @@ class PictureFeed:
         self._next: Taker | None = None     # of the rendition that adaptation has chosen
         self._last_ticks = -1
         self._closed = False
+
+    @property
+    def at_once(self) -> bool:
+        return self.sound is None or not self.sound.flowing
 
     @property
     def rendition(self) -> str:
@@ -168,11 +175,23 @@ class TrackFeed:
         self.request_keyframe = fanout.request_keyframe
         self._fanout = fanout
         self._taker: Taker | None = None
+        self._newest_at = -1e9
+
+    @property
+    def at_once(self) -> bool:
+        return False
+
+    @property
+    def flowing(self) -> bool:
+        """Something has come lately."""
+        return time.monotonic() - self._newest_at < FLOWING_S
 
     async def next_frame(self) -> EncodedFrame:
         if self._taker is None:
             self._taker = self._fanout.join()
-        return await self._taker.next_frame()
+        frame = await self._taker.next_frame()
+        self._newest_at = time.monotonic()
+        return frame
 
     def close(self) -> None:
         if self._taker is not None:

@@ -96,7 +96,8 @@ class WhepSession:
         # Before the offer is set: aiortc chooses codecs there, else the offerer's first one, which is VP8 in browsers.
         video.setCodecPreferences(with_retransmission(parsed.codec))
         if parsed.sound:
-            self._send("audio", sound_feed(self.stream.tracks)).setCodecPreferences(opus())
+            self.picture.sound = sound_feed(stream.tracks)
+            self._send("audio", self.picture.sound).setCodecPreferences(opus())
         self._connection.on("connectionstatechange", self._state_changed)
         try:
             async with asyncio.timeout(NEGOTIATE_LIMIT_S):

@@ -25,6 +25,10 @@ class PushedFeed:
         self.request_keyframe = request_keyframe
         self._taker = Taker(request_keyframe, needs_keyframe=codec == "h264")
 
+    @property
+    def at_once(self) -> bool:
+        return False        # the media server's viewers decide
+
     def push(self, frame: EncodedFrame) -> None:
         if self.codec == "h264":
             self.clock.start(frame.timestamp, VIDEO_CLOCK_HZ, frame.decoded_at)

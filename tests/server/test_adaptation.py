@@ -100,3 +100,10 @@ def test_a_quiet_picture_is_not_too_much_for_a_narrow_network() -> None:
     adaptation = Adaptation(0, 2, 0.0)
     for second in range(1, 30):
         assert adaptation.take(Report(float(second), 0.0, False), Estimate(1_500_000, second - 0.1), (1e6, 4e5, 2e5)) == 0
+
+
+def test_an_estimate_that_dips_and_comes_back_is_no_reason_to_step_down() -> None:
+    adaptation = Adaptation(0, 2, 0.0)
+    for second in range(1, 60):
+        estimate = Estimate(int(RATES[0] * (0.85 if second % 10 < 3 else 1.2)), second - 0.1)
+        assert adaptation.take(Report(float(second), 0.02, False), estimate, RATES) == 0

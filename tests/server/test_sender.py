@@ -8,10 +8,14 @@ from collections.abc import AsyncIterator
 
 import pytest
 import pytest_asyncio
+from aiortc.codecs import HEADER_EXTENSIONS
 from aiortc.rtp import RTCP_PSFB_APP, RtcpPsfbPacket, RtcpRrPacket, RtcpSrPacket, pack_remb_fci
 from sender_pair import Pair, access_units, connected_pair, until
 
 from server.delivery.fanout import EncodedFrame
+from server.delivery.sender import PLAYOUT_DELAY
+from server.delivery.subscription import sound_feed
+from server.renditions import AUDIO
 
 INTERVAL_S = 1 / 30
 TICKS = 3000
@@ -47,6 +51,20 @@ async def test_a_small_frame_leaves_at_once(pair: Pair) -> None:
     last = [packet for packet in pair.rtp if packet.timestamp == 2 * TICKS]
     assert 4 <= len(last) <= 8
     assert len({packet.extensions.abs_send_time for packet in last}) == 1
+
+
+@pytest.mark.parametrize(("with_sound", "most"), [(False, 0), (True, 50)])
+async def test_pictures_without_sound_are_not_to_be_held_back(pair: Pair, with_sound: bool, most: int) -> None:
+    if with_sound:
+        pair.feed.sound = sound_feed(pair.tracks)
+        waiting = asyncio.create_task(pair.feed.sound.next_frame())
+        await asyncio.sleep(0.01)
+        pair.tracks.publish(AUDIO, EncodedFrame(b"x", 0, keyframe=True, decoded_at=0.0))
+        await waiting
+    await pair.send(access_units(1)[0], 0)
+    number = next(extension.id for extension in HEADER_EXTENSIONS["video"] if extension.uri == PLAYOUT_DELAY)
+    assert bytes([number << 4 | 2, 0, 0, most]) in pair.sender._extensions()
+    assert [extension.id for kind in HEADER_EXTENSIONS.values() for extension in kind].count(number) == 1
 
 
 async def test_sender_reports_tell_when_the_frame_was_captured(pair: Pair) -> None:

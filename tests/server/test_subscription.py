@@ -150,3 +150,16 @@ def test_rates_of_renditions_that_nobody_watches_are_scaled_by_what_is_measured(
             rate.add(62_500 if number else 0, now - 1 + number / 10)
     rates = stream.tracks.rates(["full/h264", "medium/h264", "low/h264"])
     assert rates == pytest.approx([5e6, 2.2e6, 1.25e6] if measured else [10e6, 4.4e6, 2.5e6], rel=0.05)
+
+
+async def test_pictures_are_shown_at_once_until_there_is_sound() -> None:
+    stream = Stream()
+    feed = stream.feed()
+    assert feed.at_once
+    feed.sound = sound_feed(stream.tracks)
+    assert feed.at_once
+    waiting = asyncio.create_task(take(feed.sound))
+    await asyncio.sleep(0.01)
+    stream.publish(AUDIO, 0)
+    await waiting
+    assert not feed.at_once
