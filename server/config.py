@@ -50,7 +50,7 @@ class Settings(BaseModel):
     port: Annotated[int, Field(ge=0, le=65535)] = 8360          # 0: any free port
     source: str | None = None                                   # of the stream `live`
     assets_dir: Path = Field(default_factory=lambda: _data_folder("assets"))
-    max_viewers: Annotated[int, Field(ge=1, le=1000)] = 20      # of all streams together
+    max_viewers: Annotated[int, Field(ge=1, le=1000)] = 40      # of all streams together; two cores carry so many at 10 Mbps
     max_streams: Annotated[int, Field(ge=1, le=64)] = 4
     require_gpu: bool = False
     bitrate_bps: Annotated[int, Field(ge=100_000, le=200_000_000)] | None = None    # None: by geometry

@@ -8,7 +8,7 @@ from server.assets import Assets
 from server.auth import Tokens
 from server.config import Settings
 from server.delivery.media_addresses import MediaAddresses, UdpPorts
-from server.delivery.whep import WhepSessions
+from server.delivery.whep_sessions import WhepSessions
 from server.metrics import Metrics
 from server.outputs.playback import whep_edge
 from server.outputs.spec import OutputSpec

@@ -16,7 +16,8 @@ from server.auth import Right
 from server.delivery.ice_fragment import MAX_FRAGMENT_BYTES, Fragment, parse_fragment
 from server.delivery.media_addresses import NoSocketError
 from server.delivery.sdp_offer import MAX_OFFER_BYTES, CodecError, OfferError
-from server.delivery.whep import RETRY_AFTER_S, TooManyViewersError, UnknownRenditionError, WhepSession
+from server.delivery.whep import WhepSession
+from server.delivery.whep_sessions import RETRY_AFTER_S, TooManyViewersError, UnknownRenditionError
 from server.routes.access import AccessDep, check_view
 from server.routes.content_negotiation import accepts, media_type
 from server.routes.dependencies import ServiceDep, StreamDep
