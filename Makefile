@@ -5,6 +5,8 @@ BIN := $(VENV)/bin
 ARGS ?=
 PYTEST_ARGS ?=
 MAPS ?=
+# two files of tests at a time: most wait for processes to start, and for video to play
+TOGETHER := -n 2 --dist loadfile -m "not alone"
 
 .PHONY: help demo test lint check-python check-web e2e bench bench-gpu bench-light bench-presets bench-service bench-truth soak fuzz \
 	bench-viewers bench-latency bench-networks setup setup-test setup-truth lock clean
@@ -22,13 +24,14 @@ lint: setup-test ## ruff and mypy
 	$(BIN)/mypy
 
 check-python: setup-test ## unit tests
-	$(BIN)/python -m pytest tests/renderer tests/worker tests/server $(PYTEST_ARGS)
+	$(BIN)/python -m pytest tests/renderer tests/worker tests/server $(TOGETHER) $(PYTEST_ARGS)
 
 check-web: setup-test ## unit tests of the page's modules
 	node --test tests/web/*.test.js
 
 e2e: setup-test ## real RTMP and RTSP servers, real Chromium, a real headset runtime
-	$(BIN)/python -m pytest tests/e2e tests/web $(PYTEST_ARGS)
+	$(BIN)/python -m pytest tests/e2e tests/web $(TOGETHER) $(PYTEST_ARGS)
+	$(BIN)/python -m pytest tests/e2e tests/worker -m alone $(PYTEST_ARGS)
 
 bench-truth: setup-truth ## objects, shadows and silhouettes against a path tracer; MAPS=FOLDER of radiance maps, e.g. ARGS="--only-scenes five"
 	$(BIN)/python -m tests.benchmarks.truth --maps $(MAPS) $(ARGS)

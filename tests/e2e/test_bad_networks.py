@@ -28,7 +28,7 @@ from running_service import Service
 from server.demo.clip import demo_clip
 from server.demo.sample_scene import sample_scene
 
-pytestmark = pytest.mark.e2e
+pytestmark = [pytest.mark.e2e, pytest.mark.alone]
 
 FULL = os.environ.get("BENCH_NETWORKS") == "full"
 SETTLED_S = 3.0

@@ -13,7 +13,7 @@ import httpx
 import pytest
 from processes import Process, wait_for
 
-pytestmark = pytest.mark.e2e
+pytestmark = [pytest.mark.e2e, pytest.mark.alone]
 
 PERCENTILES = {"p50", "p95", "max"}
 

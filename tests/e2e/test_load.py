@@ -27,7 +27,7 @@ from running_service import Service
 from server.demo.clip import demo_clip
 from server.demo.sample_scene import sample_scene
 
-pytestmark = pytest.mark.e2e
+pytestmark = [pytest.mark.e2e, pytest.mark.alone]
 
 CAMERAS = ((2048, 30), (1024, 30), (1024, 15))
 CORES = 2

@@ -21,7 +21,7 @@ from server.bench.service_processes import memory_of
 from server.demo.clip import demo_clip
 from server.demo.viewer import Viewer
 
-pytestmark = pytest.mark.e2e
+pytestmark = [pytest.mark.e2e, pytest.mark.alone]
 
 CYCLES, AT_ONCE, WARM_UP = 200, 4, 40
 WATCHES_S = 0.1

@@ -16,8 +16,9 @@ from playwright.sync_api import Page, sync_playwright
 from running_service import Service
 from viewer_page import wait_playing, wait_until
 
-pytestmark = [pytest.mark.e2e, pytest.mark.skipif(os.geteuid() != 0 or shutil.which("ip") is None,
-                                                  reason="network namespaces need root and iproute2")]
+pytestmark = [pytest.mark.e2e, pytest.mark.alone,
+              pytest.mark.skipif(os.geteuid() != 0 or shutil.which("ip") is None,
+                                 reason="network namespaces need root and iproute2")]
 
 NETWORK = "10.213.7"
 SPACE = f"mr360-{os.getpid()}"

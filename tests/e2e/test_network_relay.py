@@ -15,7 +15,7 @@ import pytest
 from network_namespace import Network, NetworkUnavailableError
 from network_relay import Link
 
-pytestmark = pytest.mark.e2e
+pytestmark = [pytest.mark.e2e, pytest.mark.alone]
 
 # Sends back what comes, and says when it is there.
 ECHO = """

@@ -15,7 +15,7 @@ from running_service import Service
 
 from tests.worker.flash_and_beep import write_clip
 
-pytestmark = pytest.mark.e2e
+pytestmark = [pytest.mark.e2e, pytest.mark.alone]
 
 IN_SYNC_MS = 45             # EBU R37 and ITU-R BT.1359 are about this strict
 SETTLING_S = 9.0            # Chromium moves its play-out by so many milliseconds a second until both are together
