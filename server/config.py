@@ -63,6 +63,10 @@ class Settings(BaseModel):
     """Foreign web origins (`https://host`) that may use the API, WHEP and the WebSockets; `*` is any."""
     ice_servers: tuple[IceServer, ...] = ()
     turn: Turn | None = None
+    root_path: Annotated[str, Field(pattern=r"^(/[A-Za-z0-9._~-]+)*$")] = ""
+    """Where a reverse proxy that cuts it off has put the service: `/mr360` for `https://host/mr360/view/live`."""
+    trusted_proxies: Annotated[tuple[str, ...], BeforeValidator(comma_separated)] = ("127.0.0.1", "::1")
+    """Addresses or networks whose X-Forwarded-For and -Proto headers are believed."""
     tokens: tuple[Token, ...] = ()
     """Who may view and control what. Empty: everybody everything."""
     edges: tuple[EdgeUrl, ...] = ()

@@ -21,9 +21,9 @@ class RateLimit:
 
     def take(self, address: str) -> float:
         """Count one request. Returns 0, or the seconds after which the next one will be answered."""
-        if _is_loopback(address):
+        if is_loopback(address):
             return 0.0
-        now = self._clock()
+        address, now = shared_network(address), self._clock()
         spent, at = self._spent.pop(address, (0.0, now))
         spent = max(0.0, spent - (now - at) * self._per_second)
         allowed = spent + 1.0 <= self._burst
@@ -33,8 +33,24 @@ class RateLimit:
         return 0.0 if allowed else (spent + 1.0 - self._burst) / self._per_second
 
 
-def _is_loopback(address: str) -> bool:
+def is_loopback(address: str) -> bool:
+    """Also of a Unix socket, which has no address."""
     try:
-        return ipaddress.ip_address(address).is_loopback
-    except ValueError:      # a Unix socket
+        return _parsed(address).is_loopback
+    except ValueError:
         return True
+
+
+def shared_network(address: str) -> str:
+    """What stands for one household or one bad client: an IPv4 address, the /64 of an IPv6 one."""
+    try:
+        parsed = _parsed(address)
+    except ValueError:
+        return address
+    return str(ipaddress.ip_network((parsed, 64), strict=False)) if parsed.version == 6 else str(parsed)
+
+
+def _parsed(address: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
+    """An IPv4 client of an IPv6 socket is an IPv4 client. Raises ValueError."""
+    parsed = ipaddress.ip_address(address.partition("%")[0])
+    return (parsed.version == 6 and parsed.ipv4_mapped) or parsed

@@ -43,7 +43,8 @@ async def serve(settings: Settings, *, started: Callable[[str], None] | None = N
     listener = _listen(settings.host, settings.port)
     config = uvicorn.Config(
         create_app(settings), lifespan="on", log_config=None, access_log=False, server_header=False,
-        timeout_graceful_shutdown=GRACE_S, ws_max_size=MAX_WEBSOCKET_MESSAGE, ws_per_message_deflate=False)
+        timeout_graceful_shutdown=GRACE_S, ws_max_size=MAX_WEBSOCKET_MESSAGE, ws_per_message_deflate=False,
+        root_path=settings.root_path, forwarded_allow_ips=list(settings.trusted_proxies))
     server = _Server(config)
     serving = asyncio.create_task(server.serve(sockets=[listener]))
     giving_back = asyncio.create_task(give_back_memory())

@@ -237,7 +237,7 @@ export class WhepClient extends EventTarget {
       this.#enter('unsupported', this.reason, this.detail);
       return;
     }
-    const pause = Math.min(LONGEST_PAUSE_MS, Math.max(error.retryAfterMs ?? 0, backoffMs(Math.max(1, this.#attempt))));
+    const pause = Math.min(LONGEST_PAUSE_MS, Math.max(spread(error.retryAfterMs), backoffMs(Math.max(1, this.#attempt))));
     this.retryAt = performance.now() + pause;
     this.#timer = setTimeout(() => this.#connect(), pause);
     this.#enter('waiting', this.reason, this.detail, this.retryAt);
@@ -280,4 +280,9 @@ function anySignal(signal, timeoutMs) {
 function forget(sessionUrl) {
   // keepalive outlives the page; whether it arrives matters to nobody here, the server also times sessions out
   if (sessionUrl) fetch(sessionUrl, { method: 'DELETE', headers: authorized(), keepalive: true }).catch(() => {});
+}
+
+/** What a crowd is told at the same time it does not do at the same time. */
+function spread(retryAfterMs) {
+  return (retryAfterMs ?? 0) * (1 + 0.4 * Math.random());
 }

@@ -18,7 +18,6 @@ from math import ceil
 from typing import Any
 
 from aiortc import RTCRtpSender
-from aiortc.clock import current_ntp_time
 from aiortc.codecs import is_rtx
 from aiortc.mediastreams import MediaStreamError
 from aiortc.rtcdtlstransport import RTCDtlsTransport
@@ -51,8 +50,11 @@ logger = logging.getLogger(__name__)
 BURST_PACKETS = 8           # leave together: 38 Mbps, a small load for an access point
 BURST_INTERVAL_S = 0.002
 PACED_SHARE = 0.8           # of the time to the next frame: the last packets of one must not meet the first of the next
+SRTP_WINDOW = 1024          # of aiortc's session: numbers further back cannot be sent again by themselves
 LONGEST_FRAME_S = 1 / 24    # a stream slower than that does not pace its frames more slowly
 REPORT_EVERY_S = (0.5, 1.5)  # RFC 3550: at random, so that many senders do not report at once
+
+LONGEST_EXTENSION = 16      # bytes, with one-byte headers
 
 _ABS_SEND_TIME = "http://www.webrtc.org/experiments/rtp-hdrext/abs-send-time"
 _MID = "urn:ietf:params:rtp-hdrext:sdes:mid"
@@ -95,7 +97,7 @@ class PacketSender(RTCRtpSender):
             if is_rtx(other) and other.parameters["apt"] == codec.payloadType and other.payloadType is not None:
                 self._rtx_payload_type = other.payloadType
         for extension in parameters.headerExtensions:
-            if extension.uri == _MID and parameters.muxId:
+            if extension.uri == _MID and 1 <= len(parameters.muxId.encode()) <= LONGEST_EXTENSION:
                 self._mid_extension = _extension(extension.id, parameters.muxId.encode())
             elif extension.uri == _ABS_SEND_TIME:
                 self._send_time_id = extension.id
@@ -193,6 +195,8 @@ class PacketSender(RTCRtpSender):
         """Answer a NACK: by RTX (RFC 4588) where it was negotiated, else by the packet itself."""
         reception = self._feed.reception
         reception.nacked += 1
+        if self._rtx_payload_type < 0 and (self._next_sequence - sequence_number) & 0xFFFF >= SRTP_WINDOW:
+            return      # SRTP would refuse to protect it again
         found = self._sent.find(sequence_number)
         if found is None:
             return
@@ -222,7 +226,7 @@ class PacketSender(RTCRtpSender):
         if self._playout_delay_id:
             elements += _extension(self._playout_delay_id, _AT_ONCE if self._feed.at_once else _WITH_SOUND)
         if self._send_time_id:
-            elements += _extension(self._send_time_id, ((current_ntp_time() >> 14) & 0xFFFFFF).to_bytes(3))
+            elements += _extension(self._send_time_id, (int(time.monotonic() * (1 << 18)) & 0xFFFFFF).to_bytes(3))
         if not elements:
             return b""
         elements += bytes(-len(elements) % 4)

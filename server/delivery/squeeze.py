@@ -21,9 +21,20 @@ class Squeeze:
 
     def __init__(self, set_bps: Callable[[int | None], None]) -> None:
         self.bps: int | None = None     # None: the nominal one
+        self._viewers = 0
         self._set_bps = set_bps
         self._changed_at = -1e9
         self._trouble_at = -1e9
+
+    def joined(self) -> None:
+        """A viewer begins to be sent the rendition."""
+        self._viewers += 1
+
+    def left(self) -> None:
+        """A viewer is sent it no more. Without any there is nobody to be squeezed for: an output takes what it gets."""
+        self._viewers -= 1
+        if self._viewers == 0 and self.bps is not None:
+            self._change(self._changed_at, None)
 
     def trouble(self, now: float, carried_bps: float, nominal_bps: float) -> None:
         """A viewer of the rendition receives only so much of it."""

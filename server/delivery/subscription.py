@@ -12,6 +12,7 @@ from typing import Any
 from server.delivery.adaptation import Adaptation, Estimate
 from server.delivery.fanout import EncodedFrame, FanOut, Taker
 from server.delivery.reception import Reception, Report
+from server.delivery.squeeze import Squeeze
 from server.delivery.stream_clock import StreamClock
 from server.delivery.tracks import Tracks, video_track
 from server.renditions import AUDIO
@@ -80,6 +81,7 @@ class PictureFeed:
     async def next_frame(self) -> EncodedFrame:
         if self._taker is None and not self._closed:
             self._taker = self._join(self._rendition)
+            self._join_squeeze()
             self._tracks.viewer_joined(self)
         while True:
             frame = self._ready()
@@ -99,23 +101,25 @@ class PictureFeed:
         if new is not None and (old is None or old.timestamp >= new.timestamp):
             self._switch()
             old = new
-        while old is not None:
-            frame = self._taker.take()
-            if frame.timestamp > self._last_ticks:
-                return frame
-            if frame.keyframe:      # the same picture has just been sent in the old rendition, but the next ones need this one
-                return frame.moved_to(self._last_ticks + 1)
-            old = self._taker.head
-        return None
+        if old is None:
+            return None
+        frame = self._taker.take()
+        # Where the new rendition's encoder is behind, its picture has just been sent in the old one; the next ones need it all the
+        # same.
+        return frame if frame.timestamp > self._last_ticks else frame.moved_to(self._last_ticks + 1)
 
     def _switch(self) -> None:
         assert self._taker is not None
         assert self._next is not None
         self._leave(self._rendition, self._taker)
+        self._leave_squeeze()
         self._taker, self._next = self._next, None
         self._rendition = self.adaptation.rendition
+        self._join_squeeze()
 
     def _adapt(self, report: Report) -> None:
+        if self._closed:
+            return      # a report that came while the connection was being closed
         before = self.adaptation.rendition
         reception = self.reception
         estimate = None if reception.remb_bps is None else Estimate(reception.remb_bps, reception.remb_at)
@@ -133,14 +137,27 @@ class PictureFeed:
             self._next = self._join(after)
 
     def _adapt_lowest(self, report: Report) -> None:
-        lowest = len(self._names) - 1
-        if self._rendition != lowest:
+        squeeze = self._squeeze()
+        if squeeze is None:
             return
-        squeeze, nominal = self._tracks.squeeze(self._track(lowest)), self._tracks.nominal_bps.get(self._track(lowest), 0.0)
+        nominal = self._tracks.nominal_bps.get(self._track(self._rendition), 0.0)
         if self.adaptation.starved_bps is not None:
             squeeze.trouble(report.at, self.adaptation.starved_bps, nominal)
         else:
             squeeze.quiet(report.at, nominal)
+
+    def _squeeze(self) -> Squeeze | None:
+        """Of the rendition that is being sent, if that is the smallest of several."""
+        smallest = len(self._names) - 1
+        return self._tracks.squeeze(self._track(smallest)) if self._rendition == smallest > 0 else None
+
+    def _join_squeeze(self) -> None:
+        if (squeeze := self._squeeze()) is not None:
+            squeeze.joined()
+
+    def _leave_squeeze(self) -> None:
+        if (squeeze := self._squeeze()) is not None:
+            squeeze.left()
 
     def _join(self, rendition: int) -> Taker:
         return self._tracks.fanout(self._track(rendition)).join(self._filled)
@@ -162,6 +179,7 @@ class PictureFeed:
             self._leave(self.adaptation.rendition, self._next)
         if self._taker is not None:
             self._leave(self._rendition, self._taker)
+            self._leave_squeeze()
             self._tracks.viewer_left(self)
 
 

@@ -37,6 +37,7 @@ logger = logging.getLogger(__name__)
 CONNECT_LIMIT_S = 15.0
 NEGOTIATE_LIMIT_S = 10.0
 CLOSE_LIMIT_S = 1.0
+MAX_LOOKUPS = 16        # of names at a time: each is a question by multicast to everybody in the hall
 
 
 _numbers = count(1)
@@ -45,11 +46,13 @@ _numbers = count(1)
 class WhepSession:
     """One viewer's connection."""
 
-    def __init__(self, stream: Stream, choice: Choice, closed: Callable[[WhepSession], None]) -> None:
+    def __init__(self, stream: Stream, choice: Choice, address: str, closed: Callable[[WhepSession], None]) -> None:
         self.id = secrets.token_urlsafe(24)     # the session URL is what entitles to change or end the session
         self.number = next(_numbers)            # for people: the id is a secret
         self.etag = _new_tag()
         self.stream = stream
+        self.address = address                  # of the viewer, as HTTP knows it
+        self.connected = False                  # has been, at some time
         # An empty list, not None: None means Google's STUN server and a pause of 5 s where that cannot be reached.
         self._connection = RTCPeerConnection(RTCConfiguration(iceServers=[]))
         self._choice = choice
@@ -127,7 +130,7 @@ class WhepSession:
 
     def _add_late(self, candidates: Sequence[RTCIceCandidate]) -> None:
         """Candidates whose name is yet to be looked up, for which nobody waits."""
-        for candidate in candidates:
+        for candidate in candidates[:max(0, MAX_LOOKUPS - len(self._adding_late))]:
             task = asyncio.create_task(self._connection.addIceCandidate(candidate))
             self._adding_late.add(task)
             task.add_done_callback(self._added)
@@ -189,6 +192,7 @@ class WhepSession:
         state = self._connection.connectionState
         if state == "connected":
             self._timer.cancel()
+            self.connected = True
             logger.info("%s: viewer connected", self.stream.name)
         elif state in ("failed", "closed"):
             self._close_soon(f"connection {state}")

@@ -9,9 +9,11 @@ from server.delivery import aiortc_hooks, ice
 from server.delivery.media_addresses import MediaAddresses
 from server.delivery.subscription import Choice
 from server.delivery.whep import WhepSession
+from server.rate_limit import is_loopback, shared_network
 from server.stream import Stream
 
 RETRY_AFTER_S = 5
+FEWEST_UNCONNECTED = 4      # of one address, also where max_viewers is small
 
 
 class TooManyViewersError(RuntimeError):
@@ -45,12 +47,13 @@ class WhepSessions:
         return session
 
     async def open(self, stream: Stream, offer: str, rendition: str | None = None,
-                   at_most: str | None = None) -> tuple[WhepSession, str]:
+                   at_most: str | None = None, address: str = "") -> tuple[WhepSession, str]:
         """A new session and the SDP answer.
 
         Args:
             rendition: the one to send whatever happens; None: as the viewer's network allows.
             at_most: the best one that may be sent, for a viewer that cannot decode better ones; None: the best there is.
+            address: the viewer's, as HTTP knows it.
 
         Raises:
             TooManyViewersError, UnknownRenditionError, OfferError, CodecError: there is no session then.
@@ -58,13 +61,23 @@ class WhepSessions:
         choice = _choice(stream.rendition_names, rendition, at_most)
         if len(self._sessions) >= self._max_viewers:
             raise TooManyViewersError(f"{self._max_viewers} viewers are connected, the setting max_viewers")
-        session = WhepSession(stream, choice, self._forget)
+        self._check_unconnected(address)
+        session = WhepSession(stream, choice, address, self._forget)
         self._sessions[session.id] = session
         try:
             return session, await session.negotiate(offer)
         except BaseException as error:
             await session.close(f"no answer: {error or type(error).__name__}")
             raise
+
+    def _check_unconnected(self, address: str) -> None:
+        """One address may not hold all places with offers that never become connections."""
+        if is_loopback(address):
+            return
+        here = [session for session in self._sessions.values()
+                if not session.connected and shared_network(session.address) == shared_network(address)]
+        if len(here) >= max(FEWEST_UNCONNECTED, self._max_viewers // 4):
+            raise TooManyViewersError(f"{len(here)} viewers of this address are not connected yet, expected fewer")
 
     async def close_stream(self, stream: Stream) -> None:
         await self._close([session for session in self._sessions.values() if session.stream is stream])

@@ -54,17 +54,19 @@ async def offer(stream: StreamDep, service: ServiceDep, request: Request,
     text = await _text(request, OFFER_TYPE, MAX_OFFER_BYTES)
     _accept(request)
     try:
-        session, answer = await service.whep.open(stream, text, rendition, at_most)
+        session, answer = await service.whep.open(stream, text, rendition, at_most, request.client.host if request.client else "")
     except CodecError as error:
         raise Problem(HTTPStatus.NOT_ACCEPTABLE, str(error)) from None
     except (OfferError, UnknownRenditionError) as error:
         raise Problem(HTTPStatus.BAD_REQUEST, str(error)) from None
     except (TooManyViewersError, NoSocketError) as error:
         return _elsewhere(service.edge(stream), str(error))
+    # Not a relative reference, which would need no prefix: some players take only absolute paths.
+    prefix = request.scope.get("root_path", "")
     response = Response(answer, HTTPStatus.CREATED, media_type=OFFER_TYPE, headers={
-        "Location": f"/whep/{stream.name}/{session.id}", "ETag": session.etag, "Accept-Patch": FRAGMENT_TYPE})
+        "Location": f"{prefix}/whep/{stream.name}/{session.id}", "ETag": session.etag, "Accept-Patch": FRAGMENT_TYPE})
     for name, relation in EXTENSIONS.items():
-        response.headers.append("Link", f'</api/streams/{stream.name}/{name}>; rel="{relation}"')
+        response.headers.append("Link", f'<{prefix}/api/streams/{stream.name}/{name}>; rel="{relation}"')
     return _with_ice_servers(response, service)
 
 

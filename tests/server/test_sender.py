@@ -8,13 +8,17 @@ from collections.abc import AsyncIterator
 
 import pytest
 import pytest_asyncio
+from aiortc import RTCCertificate, RTCDtlsTransport, RTCIceGatherer, RTCIceTransport
 from aiortc.codecs import HEADER_EXTENSIONS
+from aiortc.rtcrtpparameters import RTCRtpCodecParameters, RTCRtpHeaderExtensionParameters, RTCRtpSendParameters
 from aiortc.rtp import RTCP_PSFB_APP, RtcpPsfbPacket, RtcpRrPacket, RtcpSrPacket, pack_remb_fci
 from sender_pair import Pair, access_units, connected_pair, until
 
 from server.delivery.fanout import EncodedFrame
-from server.delivery.sender import PLAYOUT_DELAY
-from server.delivery.subscription import sound_feed
+from server.delivery.feed import FeedTrack
+from server.delivery.sender import PLAYOUT_DELAY, PacketSender
+from server.delivery.subscription import Choice, PictureFeed, sound_feed
+from server.delivery.tracks import Tracks
 from server.renditions import AUDIO
 
 INTERVAL_S = 1 / 30
@@ -108,6 +112,31 @@ async def test_nacks_beyond_the_allowance_are_left_alone(pair: Pair) -> None:
     await asyncio.sleep(0.2)
     assert 0 < pair.feed.reception.packets_resent < 10 * sent
     assert pair.feed.reception.bytes_resent < 100_000 + 0.36 * pair.feed.reception.bytes_sent
+
+
+async def test_without_rtx_what_srtp_would_refuse_is_passed_over(pair: Pair) -> None:
+    """And the numbers after it in the same NACK are answered."""
+    pair.sender._rtx_payload_type = -1
+    for number in range(6):
+        await pair.send(b"\0\0\0\1\x65" + bytes(range(1, 251)) * 1040, number * TICKS)
+    numbers = [packet.sequence_number for packet in pair.rtp]
+    assert len(numbers) > 1100
+    await pair.receiver._send_rtcp_nack(pair.sender._ssrc, [numbers[0], numbers[-1]])
+    await until(lambda: pair.feed.reception.nacked == 2)
+    await until(lambda: pair.feed.reception.packets_resent == 1)
+
+
+@pytest.mark.parametrize(("mid", "kept"), [("0", True), ("x" * 16, True), ("x" * 36, False)])
+async def test_a_media_id_too_long_for_its_header_is_left_out(mid: str, kept: bool) -> None:
+    tracks = Tracks(request_keyframe=lambda track: None, demand_changed=lambda: None)
+    feed = PictureFeed(tracks, ["full"], "h264", Choice(0, 0), lambda seconds: None)
+    transport = RTCDtlsTransport(RTCIceTransport(RTCIceGatherer([])), [RTCCertificate.generateCertificate()])
+    sender = PacketSender(FeedTrack("video", feed), transport)
+    await sender.send(RTCRtpSendParameters(
+        codecs=[RTCRtpCodecParameters(mimeType="video/H264", clockRate=90000, payloadType=97)], muxId=mid,
+        headerExtensions=[RTCRtpHeaderExtensionParameters(id=1, uri="urn:ietf:params:rtp-hdrext:sdes:mid")]))
+    assert (mid.encode() in sender._extensions()) == kept
+    await sender.stop()
 
 
 async def test_a_report_of_others_is_not_ours(pair: Pair) -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import pytest
 
+from server.delivery.fanout import EncodedFrame
 from server.delivery.reception import Report
 from server.delivery.squeeze import FLOOR_SHARE, PAUSE_S, QUIET_S, Squeeze
 from server.delivery.subscription import Choice, PictureFeed
@@ -45,13 +48,45 @@ def test_one_viewer_in_trouble_outweighs_all_who_are_well() -> None:
     assert QUIET_S > PAUSE_S
 
 
-@pytest.mark.parametrize(("choice", "expected"), [(Choice(0, 1), ["low/h264"]), (Choice(0, 0), [])])
-def test_only_the_smallest_rendition_is_squeezed(choice: Choice, expected: list[str]) -> None:
-    told: list[str] = []
-    tracks = Tracks(request_keyframe=lambda track: None, demand_changed=lambda: None,
-                    set_bitrate=lambda track, bps: told.append(track))
-    tracks.nominal_bps = {"full/h264": 12e6, "low/h264": NOMINAL}
-    feed = PictureFeed(tracks, ["full", "low"], "h264", choice, lambda seconds: None)
-    feed._rendition = feed.adaptation.rendition = choice.lowest
-    feed.reception.heard(Report(100.0, 0.5, False))
-    assert told == expected
+class Encoder:
+    """What the bitrate of `low/h264` is set to, of a stream whose worker is this test."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[str, int | None]] = []
+        self.tracks = Tracks(request_keyframe=lambda track: None, demand_changed=lambda: None,
+                             set_bitrate=lambda track, bps: self.told.append((track, bps)))
+        self.tracks.nominal_bps = {"full/h264": 12e6, "low/h264": NOMINAL}
+
+    async def starving(self, names: list[str], choice: Choice) -> PictureFeed:
+        """A viewer that receives the track of its choice and then half of it."""
+        feed = PictureFeed(self.tracks, names, "h264", choice, lambda seconds: None)
+        waiting = asyncio.create_task(feed.next_frame())
+        await asyncio.sleep(0.01)
+        self.tracks.publish(f"{names[choice.best]}/h264", EncodedFrame(b"x", 0, keyframe=True, decoded_at=0.0))
+        await waiting
+        feed.reception.heard(Report(100.0, 0.5, False))
+        return feed
+
+
+@pytest.mark.parametrize(("names", "choice", "squeezed"), [
+    (["full", "low"], Choice(1, 1), True),
+    (["full", "low"], Choice(0, 0), False),
+    (["full"], Choice(0, 0), False),        # one viewer must not spoil the only picture
+])
+async def test_only_the_smallest_rendition_of_several_is_squeezed(names: list[str], choice: Choice, squeezed: bool) -> None:
+    encoder = Encoder()
+    await encoder.starving(names, choice)
+    assert [track for track, _ in encoder.told] == ["low/h264"] * squeezed
+
+
+async def test_when_its_last_viewer_has_left_a_recording_gets_the_whole_bitrate_again() -> None:
+    encoder = Encoder()
+    output = encoder.tracks.fanout("low/h264").join()
+    first = await encoder.starving(["full", "low"], Choice(1, 1))
+    second = await encoder.starving(["full", "low"], Choice(1, 1))
+    first.close()
+    assert encoder.tracks.squeezed() != {}
+    second.close()
+    assert encoder.tracks.squeezed() == {}
+    assert encoder.told[-1] == ("low/h264", None)
+    encoder.tracks.fanout("low/h264").leave(output)

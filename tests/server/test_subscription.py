@@ -82,6 +82,30 @@ async def test_the_keyframe_of_a_picture_that_was_sent_already_comes_a_tick_late
     assert key.timestamp == 3000        # it is shared with other viewers
 
 
+async def test_pictures_of_an_encoder_that_is_behind_are_all_sent() -> None:
+    """Each is needed by the next one, and no gap in RTP's numbers would tell the viewer that one is missing."""
+    stream = Stream()
+    feed = stream.feed()
+    await joined(stream, feed)
+    narrow(feed, 10.0)
+    for timestamp in (3000, 6000):
+        stream.publish("full/h264", timestamp)
+        await take(feed)
+    stream.publish("low/h264", 3000, keyframe=True)
+    for timestamp in (6000, 9000):
+        stream.publish("low/h264", timestamp)
+    assert [await take(feed) for _ in range(3)] == [("low/h264", 6001), ("low/h264", 6002), ("low/h264", 9000)]
+
+
+async def test_a_report_after_the_end_joins_nothing() -> None:
+    stream = Stream()
+    feed = stream.feed()
+    await joined(stream, feed)
+    feed.close()
+    narrow(feed, 10.0)
+    assert stream.tracks.wanted == []
+
+
 async def test_a_second_change_of_mind_leaves_the_first_one_s_track() -> None:
     stream = Stream()
     feed = stream.feed()

@@ -24,7 +24,7 @@ from websockets.exceptions import InvalidStatus
 
 from server.auth import AuthError, ForbiddenError, Right, Token, Tokens, bearer
 from server.config import ConfigError, load_settings
-from server.rate_limit import RateLimit
+from server.rate_limit import RateLimit, is_loopback, shared_network
 from server.turn import turn_credentials
 
 VIEWER, OTHER, CREW = "viewer-token-0123456789", "other-token-01234567890", "crew-token-012345678901"
@@ -273,5 +273,33 @@ async def test_no_free_port_is_503(tmp_path_factory: pytest.TempPathFactory) -> 
             assert refused.headers["retry-after"]
             client.delete(first.headers["location"])
             assert client.post("/whep/live", content=await new_offer(), headers=OFFER_TYPE).status_code == 201
+    finally:
+        stop_service(served)
+
+
+def test_what_stands_for_one_client() -> None:
+    assert shared_network("192.0.2.7") == shared_network("::ffff:192.0.2.7") == "192.0.2.7"
+    assert shared_network("2001:db8::1") == shared_network("2001:db8::ffff:1") != shared_network("2001:db8:0:1::1")
+    assert is_loopback("::ffff:127.0.0.1")
+    assert is_loopback("")
+    assert not is_loopback("2001:db8::1%eth0")
+
+
+async def test_one_address_cannot_hold_all_places_without_connecting(tmp_path_factory: pytest.TempPathFactory) -> None:
+    config = tmp_path_factory.mktemp("config") / "mr360.toml"
+    config.write_text('max_viewers = 6\nhost = "0.0.0.0"\nroot_path = "/hall"\n')
+    served = start_service("--config", str(config), assets_dir=tmp_path_factory.mktemp("assets"))
+    try:
+        here = get_host_addresses(use_ipv4=True, use_ipv6=False)[0]
+        with httpx.Client(base_url=f"http://{here}:{served.url.rpartition(':')[2]}", timeout=30) as client:
+            offer = await new_offer()
+            answers = [client.post("/whep/live", content=offer, headers=OFFER_TYPE) for _ in range(5)]
+            assert [answer.status_code for answer in answers] == [201] * 4 + [503]
+            assert_problem(answers[4], 503, "4 viewers of this address are not connected yet")
+            assert answers[0].headers["location"].startswith("/hall/whep/live/")
+            assert "</hall/api/streams/live/lights>" in answers[0].headers["link"]
+            assert client.get("/api/streams/live/playback").json()[0]["url"].endswith("/hall/whep/live")
+            assert client.delete(answers[0].headers["location"].removeprefix("/hall")).status_code == 200
+            assert client.post("/whep/live", content=offer, headers=OFFER_TYPE).status_code == 201
     finally:
         stop_service(served)
