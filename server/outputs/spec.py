@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 from urllib.parse import parse_qsl, urlsplit
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from server.renditions import LADDER
 from server.source_url import MAX_URL_LENGTH, SourceUrlError, masked
 
 Kind = Literal["rtmp", "rtsp", "whip", "record"]
@@ -68,7 +68,7 @@ class OutputSpec(BaseModel):
         description="rtmp, rtmps, rtsp, rtsps, whip+http or whip+https; http and https with kind whip")] = None
     prefix: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$",
                                  description="of a recording's file name")] | None = None
-    rendition: str = "full"
+    rendition: Annotated[str | None, Field(max_length=64, description="by default the best one")] = None
     token: Annotated[str | None, BeforeValidator(_token), Field(description="bearer token for WHIP; never shown")] = None
     playback: Annotated[tuple[PlaybackEntry, ...], Field(max_length=8)] = ()
     enabled: bool = True
@@ -88,9 +88,6 @@ class OutputSpec(BaseModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> OutputSpec:
-        names = [rendition.name for rendition in LADDER]
-        if self.rendition not in names:
-            raise ValueError(f"rendition is {self.rendition!r}, expected one of {', '.join(names)}")
         if self.token is not None and self.kind != "whip":
             raise ValueError(f"token is for kind whip, the kind is {self.kind}")
         if self.kind == "record":
@@ -101,6 +98,11 @@ class OutputSpec(BaseModel):
             if self.prefix is not None:
                 raise ValueError(f"prefix is for kind record, the kind is {self.kind}")
         return self
+
+    def check_rendition(self, names: Sequence[str]) -> None:
+        """`names`: of the service's ladder. Raises ValueError when the rendition asked for is none of them."""
+        if self.rendition is not None and self.rendition not in names:
+            raise ValueError(f"rendition is {self.rendition!r}, expected one of {', '.join(names)}")
 
     @property
     def shown_url(self) -> str | None:

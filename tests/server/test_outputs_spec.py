@@ -22,7 +22,7 @@ from server.outputs.spec import OutputSpec, PlaybackEntry, masked_output_url
 ])
 def test_kinds(given: dict[str, Any], kind: str, url: str | None) -> None:
     spec = OutputSpec.model_validate({"id": "a", **given})
-    assert (spec.kind, spec.url, spec.rendition, spec.enabled) == (kind, url, "full", True)
+    assert (spec.kind, spec.url, spec.rendition, spec.enabled) == (kind, url, None, True)
 
 
 @pytest.mark.parametrize(("given", "complaint"), [
@@ -49,7 +49,6 @@ def test_kinds(given: dict[str, Any], kind: str, url: str | None) -> None:
     ({"url": "rtsp://h/x", "token": "t"}, "token is for kind whip"),
     ({"url": "whip+http://user:word@h/x"}, "expected a token beside it"),
     ({"url": "whip+http://h/x", "token": "a\r\nb"}, "expected a bearer token"),
-    ({"url": "rtsp://h/x", "rendition": "huge"}, "rendition is 'huge', expected one of full, medium, low"),
     ({"url": "rtsp://h/x", "tokn": "t"}, "Extra inputs"),
     ({"url": "rtsp://h/x", "id": "a/b"}, "String should match pattern"),
     ({"url": "rtsp://h/x", "playback": [{"protocol": "whep", "url": "javascript://x/alert(1)"}]}, "playback url scheme"),
@@ -133,6 +132,16 @@ def test_bad_outputs_in_the_settings_are_told_without_secrets(outputs: Any, comp
     assert complaint.replace("config", "command line") in str(error.value)
     assert SECRET not in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_renditions_of_configured_outputs_are_of_the_ladder_of_the_settings() -> None:
+    settings = {"renditions": [{"name": "uhd", "scale": 1.0}, {"name": "hd", "scale": 0.5}]}
+    output = {"id": "rec", "kind": "record", "prefix": "p"}
+    loaded = load_settings({**settings, "outputs": [output, {**output, "id": "small", "rendition": "hd"}]}, environment={})
+    assert [one.spec.rendition for one in loaded.outputs] == [None, "hd"]
+    with pytest.raises(ConfigError) as error:
+        load_settings({**settings, "outputs": [{**output, "rendition": "full"}]}, environment={})
+    assert "outputs has 'rec', whose rendition is 'full', expected one of uhd, hd" in str(error.value)
 
 
 def test_outputs_in_the_environment_are_json() -> None:
