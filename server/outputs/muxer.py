@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import socket
 from pathlib import Path
@@ -11,6 +12,7 @@ import av
 
 from server.outputs.beginning import Beginning
 from server.outputs.muxing import Muxing
+from server.outputs.networks import check_network
 from server.outputs.recording import Recording
 from server.outputs.server_link import OutputFailedError, Pulse, ServerLink, failed_message
 from server.outputs.sound import CopiedOpus, EncodedAac
@@ -72,13 +74,16 @@ def mux(start: Message, connection: socket.socket) -> None:
     av.logging.set_level(av.logging.ERROR)      # so that errors say what the peer said; nothing is printed
     link = ServerLink(connection)
     pulse = Pulse(link)
-    sink = _open(start, link)
-    link.send({"type": "ready"})
     failure: OutputFailedError | None = None
     try:
+        _check_network(start)
+        sink = _open(start, link)
+        link.send({"type": "ready"})
         failure = _write_all(link, pulse, sink)
         with pulse.writing():
             sink.close()
+    except OutputFailedError as error:
+        failure = error
     except DISK_ERRORS as error:
         failure = OutputFailedError(_reason(error), hopeless=start["kind"] == "record")
     except (av.error.FFmpegError, OSError, ValueError) as error:
@@ -87,6 +92,13 @@ def mux(start: Message, connection: socket.socket) -> None:
     if failure is not None:
         link.send(failed_message(failure))
     os._exit(0)     # or the container would be closed once more, on a connection that may take nothing
+
+
+def _check_network(start: Message) -> None:
+    """Raises OutputFailedError. FFmpeg's muxers follow no redirections: what is checked is where they go."""
+    if start["url"] is not None:
+        # Not asyncio.run: its end waits for a resolver that does not answer.
+        asyncio.new_event_loop().run_until_complete(check_network(start["url"], start["networks"]))
 
 
 def _open(start: Message, link: ServerLink) -> _Sink:
