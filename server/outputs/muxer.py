@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import os
 import socket
 from pathlib import Path
@@ -18,7 +19,7 @@ from server.outputs.server_link import OutputFailedError, Pulse, ServerLink, fai
 from server.outputs.sound import CopiedOpus, EncodedAac
 from server.worker.messages import Message, ProtocolError
 
-DISK_ERRORS = (FileNotFoundError, FileExistsError, NotADirectoryError, PermissionError)
+DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOENT, errno.EEXIST, errno.ENOTDIR)
 
 
 class _Sink(Protocol):
@@ -32,6 +33,8 @@ class _Sink(Protocol):
     def note(self, message: Message) -> None: ...
 
     def close(self) -> None: ...
+
+    def discard_empty(self) -> None: ...
 
 
 class _Push:
@@ -68,12 +71,16 @@ class _Push:
     def close(self) -> None:
         self._muxing.close()
 
+    def discard_empty(self) -> None:
+        """A push leaves nothing behind."""
+
 
 def mux(start: Message, connection: socket.socket) -> None:
     """Until the server says `stop` or goes away, or the output fails, of which the server is told. Then the process ends."""
     av.logging.set_level(av.logging.ERROR)      # so that errors say what the peer said; nothing is printed
     link = ServerLink(connection)
     pulse = Pulse(link)
+    sink: _Sink | None = None
     failure: OutputFailedError | None = None
     try:
         _check_network(start)
@@ -84,10 +91,11 @@ def mux(start: Message, connection: socket.socket) -> None:
             sink.close()
     except OutputFailedError as error:
         failure = error
-    except DISK_ERRORS as error:
-        failure = OutputFailedError(_reason(error), hopeless=start["kind"] == "record")
     except (av.error.FFmpegError, OSError, ValueError) as error:
-        failure = OutputFailedError(_reason(error))
+        hopeless = start["kind"] == "record" and getattr(error, "errno", None) in DISK_ERRORS
+        failure = OutputFailedError(_reason(error), hopeless=hopeless)
+    if sink is not None:
+        sink.discard_empty()
     pulse.report()
     if failure is not None:
         link.send(failed_message(failure))
