@@ -115,6 +115,12 @@ class Settings(BaseModel):
 
     @model_validator(mode="after")
     def _outputs_fit(self) -> Settings:
+        names = [rung.name for rung in self.renditions]
+        for output in self.outputs:
+            try:
+                output.check_rendition(names)
+            except ValueError as error:
+                raise ValueError(f"outputs has {output.id!r}, whose {error}") from None
         ids = Counter((output.stream, output.id) for output in self.outputs)
         for (stream, output_id), count in ids.items():
             if count > 1:

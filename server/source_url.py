@@ -27,6 +27,10 @@ class SourceUrlError(ValueError):
     """The text is no source that this caller may use."""
 
 
+class UnknownHostError(SourceUrlError):
+    """The host's name does not resolve, now."""
+
+
 def masked(text: str) -> str:
     """The URL, or a text with URLs in it, without user names, passwords and secret-looking query values."""
     return _SECRET_PARAMETER.sub(r"\1***", _USER_INFO.sub("***@", text))
@@ -89,7 +93,8 @@ async def check_source_network(source: str, allowed: Sequence[IpNetwork]) -> Non
     """Refuse a host outside the public internet and outside the allowed networks (server-side request forgery).
 
     Raises:
-        SourceUrlError: the host does not resolve, or one of its addresses is not allowed.
+        UnknownHostError: the host does not resolve.
+        SourceUrlError: one of its addresses is not allowed.
     """
     parts = urlsplit(source)
     host = parts.hostname or ""
@@ -105,6 +110,6 @@ async def _addresses(host: str, port: int) -> list[IpAddress]:
         async with asyncio.timeout(RESOLVE_TIMEOUT_S):
             found = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_STREAM)
     except (OSError, UnicodeError):
-        raise SourceUrlError(f"source host {host!r} does not resolve, expected a known host name") from None
+        raise UnknownHostError(f"source host {host!r} does not resolve, expected a known host name") from None
     addresses = [ipaddress.ip_address(str(entry[4][0]).split("%")[0]) for entry in found]
     return [getattr(address, "ipv4_mapped", None) or address for address in addresses]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import errno
 import os
 import socket
 from pathlib import Path
@@ -11,12 +13,13 @@ import av
 
 from server.outputs.beginning import Beginning
 from server.outputs.muxing import Muxing
+from server.outputs.networks import check_network
 from server.outputs.recording import Recording
 from server.outputs.server_link import OutputFailedError, Pulse, ServerLink, failed_message
 from server.outputs.sound import CopiedOpus, EncodedAac
 from server.worker.messages import Message, ProtocolError
 
-DISK_ERRORS = (FileNotFoundError, FileExistsError, NotADirectoryError, PermissionError)
+DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOENT, errno.EEXIST, errno.ENOTDIR)
 
 
 class _Sink(Protocol):
@@ -30,6 +33,8 @@ class _Sink(Protocol):
     def note(self, message: Message) -> None: ...
 
     def close(self) -> None: ...
+
+    def discard_empty(self) -> None: ...
 
 
 class _Push:
@@ -66,27 +71,42 @@ class _Push:
     def close(self) -> None:
         self._muxing.close()
 
+    def discard_empty(self) -> None:
+        """A push leaves nothing behind."""
+
 
 def mux(start: Message, connection: socket.socket) -> None:
     """Until the server says `stop` or goes away, or the output fails, of which the server is told. Then the process ends."""
     av.logging.set_level(av.logging.ERROR)      # so that errors say what the peer said; nothing is printed
     link = ServerLink(connection)
     pulse = Pulse(link)
-    sink = _open(start, link)
-    link.send({"type": "ready"})
+    sink: _Sink | None = None
     failure: OutputFailedError | None = None
     try:
+        _check_network(start)
+        sink = _open(start, link)
+        link.send({"type": "ready"})
         failure = _write_all(link, pulse, sink)
         with pulse.writing():
             sink.close()
-    except DISK_ERRORS as error:
-        failure = OutputFailedError(_reason(error), hopeless=start["kind"] == "record")
+    except OutputFailedError as error:
+        failure = error
     except (av.error.FFmpegError, OSError, ValueError) as error:
-        failure = OutputFailedError(_reason(error))
+        hopeless = start["kind"] == "record" and getattr(error, "errno", None) in DISK_ERRORS
+        failure = OutputFailedError(_reason(error), hopeless=hopeless)
+    if sink is not None:
+        sink.discard_empty()
     pulse.report()
     if failure is not None:
         link.send(failed_message(failure))
     os._exit(0)     # or the container would be closed once more, on a connection that may take nothing
+
+
+def _check_network(start: Message) -> None:
+    """Raises OutputFailedError. FFmpeg's muxers follow no redirections: what is checked is where they go."""
+    if start["url"] is not None:
+        # Not asyncio.run: its end waits for a resolver that does not answer.
+        asyncio.new_event_loop().run_until_complete(check_network(start["url"], start["networks"]))
 
 
 def _open(start: Message, link: ServerLink) -> _Sink:

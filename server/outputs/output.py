@@ -6,7 +6,7 @@ import asyncio
 import logging
 import random
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, Protocol
@@ -31,6 +31,11 @@ class OutputStream(Protocol):
 
     name: str
     tracks: Tracks
+
+    @property
+    def rendition_names(self) -> Sequence[str]:
+        """Best first."""
+        ...
 
     def scene_of(self, revision: int) -> dict[str, Any] | None:
         """The scene as JSON; None when it is long gone."""
@@ -72,6 +77,11 @@ class Output:
         self._counts = {"frames": 0, "bytes": 0}    # by this one
 
     @property
+    def rendition(self) -> str:
+        """The one that goes out."""
+        return self.spec.rendition or self._stream.rendition_names[0]
+
+    @property
     def live(self) -> bool:
         return self.state == "live"
 
@@ -90,7 +100,7 @@ class Output:
         spec = self.spec
         where = {"prefix": spec.prefix} if spec.kind == "record" else {"url": spec.shown_url}
         return {
-            "id": spec.id, "kind": spec.kind, **where, "rendition": spec.rendition, "token_set": spec.token is not None,
+            "id": spec.id, "kind": spec.kind, **where, "rendition": self.rendition, "token_set": spec.token is not None,
             "playback": [entry.model_dump(exclude_none=True) for entry in spec.playback], "enabled": spec.enabled, **self.status(),
         }
 
@@ -213,7 +223,7 @@ class Output:
 
     @property
     def _track(self) -> str:
-        return video_track(self.spec.rendition, "h264")
+        return video_track(self.rendition, "h264")
 
     async def _feed_pictures(self, process: OutputProcess, sound: bool) -> None:
         """Until the process ends, or needs another header because the sound has come or gone."""

@@ -7,6 +7,8 @@ source's state, with the time since the start at which it came.
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import json
 import os
 import time
@@ -79,6 +81,13 @@ class Recording:
                 if file is not None:
                     file.close()
 
+    def discard_empty(self) -> None:
+        """Remove a film without pictures: on a full disk each try would leave one behind."""
+        if self._file is not None and self._file.empty:
+            with contextlib.suppress(OSError):
+                self._file.path.unlink()
+                _log_path(self._file.path).unlink(missing_ok=True)
+
     def _open(self, keyframe: bytes) -> Muxing:
         self._folder.mkdir(parents=True, exist_ok=True)
         self._file = _SphericalFile(_new_file(self._folder, self._prefix))
@@ -91,7 +100,7 @@ class Recording:
     def _begin_log(self, muxing: Muxing, timestamp: int, age_s: float) -> _SceneLog:
         assert self._file is not None
         width, height = muxing.size
-        self._log = log = _SceneLog(self._file.path.with_suffix(".scene.jsonl"), age_s)
+        self._log = log = _SceneLog(_log_path(self._file.path), age_s)
         log.write({
             "stream": self._stream, "file": self._file.path.name, "start": log.start.isoformat(timespec="milliseconds"),
             "clock": {"rate": CLOCK_RATE, "origin": timestamp},
@@ -126,10 +135,12 @@ class _SphericalFile:
         self.path = path
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
         self._header: bytearray | None = bytearray()
+        self.empty = True       # but for the movie header
 
     def write(self, data: bytes) -> int:
         if self._header is None:
             self._write_all(data)
+            self.empty = False
         else:
             self._header += data
             grown = with_spherical_metadata(bytes(self._header))
@@ -149,11 +160,15 @@ class _SphericalFile:
         os.close(self._fd)
 
 
+def _log_path(film: Path) -> Path:
+    return film.with_suffix(".scene.jsonl")
+
+
 def _new_file(folder: Path, prefix: str) -> Path:
     """A path in the folder at which nothing is yet: recordings are never overwritten."""
     stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
     for number in range(NAMES_TRIED):
         path = folder / f"{prefix}-{stamp}{f'-{number}' if number else ''}.mp4"
-        if not path.exists() and not path.with_suffix(".scene.jsonl").exists():
+        if not path.exists() and not _log_path(path).exists():
             return path
-    raise FileExistsError(f"{NAMES_TRIED} recordings of this second exist")
+    raise FileExistsError(errno.EEXIST, f"{NAMES_TRIED} recordings of this second exist")

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, Literal
-from urllib.parse import parse_qsl, urlsplit
+from urllib.parse import unquote, unquote_plus, urlsplit
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from server.renditions import LADDER
 from server.source_url import MAX_URL_LENGTH, SourceUrlError, masked
 
 Kind = Literal["rtmp", "rtsp", "whip", "record"]
@@ -21,6 +21,7 @@ LONGEST_SHOWN_PATH_PART = 20        # what is longer is likely a key: Cloudflare
 
 _EXPECTED_SCHEMES = f"expected one of {', '.join(SCHEMES)}, or http or https with kind whip"
 _PATH_PART = re.compile(rf"(?<=/)[^/?#]{{{LONGEST_SHOWN_PATH_PART + 1},}}(?=[/?#]|$)")
+_PATH_PARAMETER = re.compile(r"(?<=;)[^;/]+")
 
 
 def _token(value: Any) -> Any:
@@ -68,7 +69,7 @@ class OutputSpec(BaseModel):
         description="rtmp, rtmps, rtsp, rtsps, whip+http or whip+https; http and https with kind whip")] = None
     prefix: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$",
                                  description="of a recording's file name")] | None = None
-    rendition: str = "full"
+    rendition: Annotated[str | None, Field(max_length=64, description="by default the best one")] = None
     token: Annotated[str | None, BeforeValidator(_token), Field(description="bearer token for WHIP; never shown")] = None
     playback: Annotated[tuple[PlaybackEntry, ...], Field(max_length=8)] = ()
     enabled: bool = True
@@ -88,9 +89,6 @@ class OutputSpec(BaseModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> OutputSpec:
-        names = [rendition.name for rendition in LADDER]
-        if self.rendition not in names:
-            raise ValueError(f"rendition is {self.rendition!r}, expected one of {', '.join(names)}")
         if self.token is not None and self.kind != "whip":
             raise ValueError(f"token is for kind whip, the kind is {self.kind}")
         if self.kind == "record":
@@ -102,6 +100,11 @@ class OutputSpec(BaseModel):
                 raise ValueError(f"prefix is for kind record, the kind is {self.kind}")
         return self
 
+    def check_rendition(self, names: Sequence[str]) -> None:
+        """`names`: of the service's ladder. Raises ValueError when the rendition asked for is none of them."""
+        if self.rendition is not None and self.rendition not in names:
+            raise ValueError(f"rendition is {self.rendition!r}, expected one of {', '.join(names)}")
+
     @property
     def shown_url(self) -> str | None:
         """The URL without credentials and stream key."""
@@ -109,19 +112,23 @@ class OutputSpec(BaseModel):
 
     def conceal(self, text: str) -> str:
         """The text, which may quote the URL or parts of it, without this output's secrets."""
-        for secret in self._secrets():
-            text = text.replace(secret, MASK)
+        secrets = {form for secret in self._secrets() for form in (secret, unquote(secret), unquote_plus(secret)) if form}
+        if secrets:
+            longest_first = sorted(secrets, key=len, reverse=True)
+            text = re.sub("|".join(map(re.escape, longest_first)), MASK, text, flags=re.IGNORECASE)     # reasons are lower case
         return masked(text)
 
-    def _secrets(self) -> list[str]:
-        secrets = [self.token] if self.token else []
+    def _secrets(self) -> Iterator[str]:
+        """As they are written in the URL."""
+        yield self.token or ""
         if self.url is not None:
             parts = urlsplit(self.url)
-            secrets += [text for text in (parts.username, parts.password, *(value for _, value in parse_qsl(parts.query))) if text]
-            secrets += _PATH_PART.findall(parts.path)
+            yield from (parts.username or "", parts.password or "", parts.fragment)
+            parameters = _parameters(parts.query) + _parameters(";".join(_PATH_PARAMETER.findall(parts.path)))
+            yield from (value if separator else name for name, separator, value in parameters)
+            yield from _PATH_PART.findall(parts.path)
             if self.kind == "rtmp":
-                secrets += [key for key in [parts.path.rpartition("/")[2]] if key]
-        return sorted(secrets, key=len, reverse=True)
+                yield _path_parts(parts.path)[-1]
 
 
 class ConfiguredOutput(OutputSpec):
@@ -147,13 +154,24 @@ def kind_of(url: str) -> Kind | None:
 
 
 def masked_output_url(url: str) -> str:
-    """Without user name, password, secret-looking query values, long path parts and, for RTMP, the stream key at its end."""
-    url = _PATH_PART.sub(MASK, masked(url))
-    if url.startswith("rtmp"):
-        scheme, _, rest = url.partition("://")
-        host, *path = rest.partition("?")[0].split("/")
-        return f"{scheme}://{'/'.join([host, *path[:-1], MASK])}"
-    return url
+    """Without user name, password, query values, parameters, long path parts and, for RTMP, the stream key and what follows it."""
+    parts = urlsplit(url)
+    _, credentials, host = parts.netloc.rpartition("@")
+    rtmp = parts.scheme in ("rtmp", "rtmps")
+    path = "/".join(["", *_path_parts(parts.path)[:-1], MASK]) if rtmp else parts.path
+    path = _PATH_PART.sub(MASK, _PATH_PARAMETER.sub(MASK, path))
+    query = "&".join(f"{name}={MASK}" if separator else MASK for name, separator, _ in _parameters(parts.query))
+    return (f"{parts.scheme}://{MASK + '@' if credentials else ''}{host}{path}"
+            f"{'?' + query if query and not rtmp else ''}{'#' + MASK if parts.fragment and not rtmp else ''}")
+
+
+def _path_parts(path: str) -> list[str]:
+    return [part for part in path.split("/") if part]
+
+
+def _parameters(query: str) -> list[tuple[str, str, str]]:
+    """Name, `=` and value, undecoded; without `=` there is only the first."""
+    return [parameter.partition("=") for parameter in re.split("[&;]", query) if parameter]
 
 
 def _check_url(kind: Kind, url: str | None) -> None:
@@ -165,7 +183,7 @@ def _check_url(kind: Kind, url: str | None) -> None:
         raise SourceUrlError(f"url scheme is {parts.scheme!r}, expected {' or '.join(expected)} for kind {kind}")
     if kind == "whip" and "@" in parts.netloc:
         raise SourceUrlError("url has a user name or password, expected a token beside it")
-    if kind == "rtmp" and len([part for part in parts.path.split("/") if part]) < 2:
+    if kind == "rtmp" and len(_path_parts(parts.path)) < 2:
         raise SourceUrlError(f"url is incomplete, expected {parts.scheme}://HOST/APP/KEY")
 
 

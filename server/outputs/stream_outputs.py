@@ -73,4 +73,4 @@ class StreamOutputs:
         for output in self._outputs.values():
             if output.live:
                 for entry in output.spec.playback:
-                    yield output.spec.id, entry, entry.rendition or output.spec.rendition
+                    yield output.spec.id, entry, entry.rendition or output.rendition

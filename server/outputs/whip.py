@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import ipaddress
 import socket
 from collections.abc import Sequence
 from urllib.parse import urlsplit
@@ -14,10 +13,10 @@ from aiortc.exceptions import InvalidAccessError, InvalidStateError, OperationEr
 
 from server.delivery import aiortc_hooks
 from server.delivery.fanout import EncodedFrame
+from server.outputs.networks import check_network
 from server.outputs.server_link import PULSE_S, OutputFailedError, failed_message
 from server.outputs.whip_http import MAX_REDIRECTIONS, Answer, Redirection, delete_session, post_offer
 from server.outputs.whip_sender import PushedFeed, add_feeds
-from server.source_url import SourceUrlError, check_source_network
 from server.worker.messages import Message, ProtocolError, encode_message, read_message
 
 CONNECT_LIMIT_S = 8.0
@@ -36,7 +35,7 @@ async def push(start: Message, connection: socket.socket) -> None:
 class _Push:
     def __init__(self, start: Message, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._url, self._token = str(start["url"]), start["token"]
-        self._networks = None if start["networks"] is None else [ipaddress.ip_network(text) for text in start["networks"]]
+        self._networks = start["networks"]
         self._sound = bool(start["sound"])
         self._reader, self._writer = reader, writer
         self._frames = self._bytes = 0
@@ -117,11 +116,7 @@ class _Push:
         if urlsplit(url).scheme not in ("http", "https"):
             raise OutputFailedError(f"the WHIP endpoint leads to the scheme {urlsplit(url).scheme!r}, expected http or https",
                                     hopeless=True)
-        if self._networks is not None:
-            try:
-                await check_source_network(url, self._networks)
-            except SourceUrlError as error:
-                raise OutputFailedError(str(error), hopeless=True) from None
+        await check_network(url, self._networks)
 
     async def _leave(self) -> None:
         session_url, self._session_url = self._session_url, None

@@ -16,6 +16,7 @@ from server.routes.problems import Problem, shown
 from server.routes.strict_json import StrictJsonRoute
 from server.service import Service
 from server.source_url import SourceUrlError
+from server.stream import Stream
 
 router = APIRouter(prefix="/api/streams/{stream}/outputs", tags=["outputs"], route_class=StrictJsonRoute)
 
@@ -39,6 +40,7 @@ async def list_outputs(stream: StreamDep) -> list[dict[str, Any]]:
 @router.post("", status_code=201)
 async def create_output(stream: StreamDep, spec: OutputSpec, service: ServiceDep, response: Response) -> dict[str, Any]:
     """Create an output; it starts at once, unless `enabled` is false."""
+    _check_rendition(spec, stream)
     networks = await _checked(spec, service)
     try:
         output = stream.outputs.add(spec, networks)
@@ -57,7 +59,7 @@ async def get_output(output: OutputDep) -> dict[str, Any]:
 
 
 @router.patch("/{output}")
-async def patch_output(output: OutputDep, patch: dict[str, Any], service: ServiceDep) -> dict[str, Any]:
+async def patch_output(stream: StreamDep, output: OutputDep, patch: dict[str, Any], service: ServiceDep) -> dict[str, Any]:
     """Merge patch (RFC 7396). Anything but `playback` begins a new connection or file; with a new URL the token goes, unless the
     patch has one: it was for the old one."""
     if patch.get("id", output.spec.id) != output.spec.id:
@@ -68,6 +70,7 @@ async def patch_output(output: OutputDep, patch: dict[str, Any], service: Servic
         if kind_of(patch["url"]) is not None:
             del before["kind"]      # the new URL says it
     spec = OutputSpec.model_validate(merge_patch(before, patch))
+    _check_rendition(spec, stream)
     networks = output.networks if spec.url == output.spec.url else await _checked(spec, service)
     await output.replace(spec, networks)
     return output.description()
@@ -77,6 +80,14 @@ async def patch_output(output: OutputDep, patch: dict[str, Any], service: Servic
 async def delete_output(stream: StreamDep, output: OutputDep) -> None:
     """End its connection or finish its file."""
     await stream.outputs.remove(output.spec.id)
+
+
+def _check_rendition(spec: OutputSpec, stream: Stream) -> None:
+    try:
+        spec.check_rendition(stream.rendition_names)
+    except ValueError as error:
+        raise Problem(HTTPStatus.UNPROCESSABLE_ENTITY, str(error),
+                      errors=[{"pointer": "/rendition", "detail": str(error)}]) from None
 
 
 async def _checked(spec: OutputSpec, service: Service) -> tuple[str, ...] | None:

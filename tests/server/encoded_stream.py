@@ -29,6 +29,7 @@ class EncodedStream:
     """What an output asks of its stream. `async with EncodedStream(speed=4) as stream:`; `speed` by real time."""
 
     name = "live"
+    rendition_names = ("full",)
 
     def __init__(self, *, speed: float = 1.0, sound: bool = False, size: tuple[int, int] = SIZE) -> None:
         self.tracks = Tracks(request_keyframe=self._request_keyframe, demand_changed=lambda: None)

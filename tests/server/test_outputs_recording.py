@@ -8,6 +8,7 @@ import os
 import re
 import signal
 import subprocess
+import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -17,10 +18,13 @@ import av
 import numpy as np
 import pytest
 from encoded_stream import FIRST_TIMESTAMP, FPS, SIZE, EncodedStream, beep_times, flash_times
+from encoded_stream import pictures as encoded_pictures
 
 from server.outputs import output as output_module
 from server.outputs import process as process_module
+from server.outputs.beginning import Beginning
 from server.outputs.output import Output
+from server.outputs.recording import Recording
 from server.outputs.spec import OutputSpec
 from server.worker.spherical import SPHERICAL_UUID
 
@@ -155,11 +159,12 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", folder], check=True)
 
 
-async def test_a_full_disk_is_the_output_s_trouble_alone(small_disk: Path, tmp_path: Path) -> None:
+async def test_a_full_disk_is_the_output_s_trouble_alone(small_disk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(output_module, "HOPELESS_RETRY_S", 2.0)
     async with EncodedStream(speed=4) as stream, recording(stream, small_disk) as full, recording(stream, tmp_path) as healthy:
         ballast = small_disk / "ballast"
         ballast.write_bytes(bytes(50_000))
-        await until(lambda: full.state == "retrying")
+        await until(lambda: full.state == "failed-config")
         assert full.detail == "no space left on device"
         frames = healthy.frames
         await until(lambda: healthy.frames > frames + FPS)
@@ -167,6 +172,40 @@ async def test_a_full_disk_is_the_output_s_trouble_alone(small_disk: Path, tmp_p
         for file in small_disk.iterdir():
             file.unlink()
         await until(lambda: full.live)
+
+
+@pytest.mark.parametrize("free_bytes", [0, 4096])
+async def test_tries_on_a_full_disk_leave_nothing_behind(small_disk: Path, free_bytes: int,
+                                                         monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither an empty film nor, where its header finds room, one without pictures and its log."""
+    monkeypatch.setattr(output_module, "HOPELESS_RETRY_S", 0.1)
+    ballast = small_disk / "ballast"
+    ballast.write_bytes(bytes((64 << 10) - free_bytes))
+    async with EncodedStream(speed=4) as stream, recording(stream, small_disk) as output:
+        await until(lambda: output.restarts >= 3 and output.state == "failed-config")
+        assert output.detail == "no space left on device"
+    assert list(small_disk.iterdir()) == [ballast]
+
+
+def test_a_recording_that_ends_before_its_first_picture_leaves_nothing_and_one_of_a_picture_is_kept(tmp_path: Path) -> None:
+    frame = next(encoded_pictures(1.0))
+    for age_s, kept in ((1.0, 0), (-1.0, 1)):       # the first picture is younger than the file
+        film = Recording(tmp_path, "show", "live", Beginning(lambda: None, sound=False), sound=False)
+        film.note({"type": "scene", "scene": {}})
+        picture = {"timestamp": frame.timestamp, "revision": 1, "keyframe": True, "decoded_at": time.monotonic() - age_s}
+        assert film.write_picture(picture, frame.data) == bool(kept)
+        film.close()
+        film.discard_empty()
+        assert len(list(tmp_path.glob("*.mp4"))) == len(list(tmp_path.glob("*.jsonl"))) == kept
+
+
+async def test_a_full_disk_is_not_tried_again_at_once(small_disk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(output_module, "BACKOFF_S", (0.1, 0.2))
+    (small_disk / "ballast").write_bytes(bytes(64 << 10))
+    async with EncodedStream(speed=4) as stream, recording(stream, small_disk) as output:
+        await until(lambda: output.detail == "no space left on device")
+        await asyncio.sleep(1)
+        assert output.restarts == 0
 
 
 async def test_sound_that_comes_begins_another_file(tmp_path: Path) -> None:

@@ -21,12 +21,13 @@ NOBODY = f"rtmp://user:{SECRET}@127.0.0.1:9/live/{SECRET}"
 
 @pytest.fixture(scope="module")
 def recorder(panorama: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    """A service that keeps its recordings in a folder of the test's, with two ways to watch in its settings."""
+    """A service with a folder for recordings, a ladder and two ways to watch in its settings."""
     folder = tmp_path_factory.mktemp("recorder")
     config = folder / "mr360.toml"
     config.write_text(f'''
 recordings_dir = "{folder / 'recordings'}"
 max_outputs = 3
+renditions = [{{name = "best", scale = 1.0}}, {{name = "half", scale = 0.5}}]
 [[outputs]]
 id = "configured"
 kind = "record"
@@ -62,7 +63,7 @@ def test_a_recording_from_post_to_delete(rest: httpx.Client, recorder: Served) -
     answer = rest.post(OUTPUTS, json={"id": "rec", "kind": "record", "prefix": "show"})
     assert answer.status_code == 201
     assert answer.headers["location"] == f"{OUTPUTS}/rec"
-    assert answer.json()["state"] == "connecting"
+    assert (answer.json()["state"], answer.json()["rendition"]) == ("connecting", "best")
 
     def output() -> dict[str, Any]:
         found: dict[str, Any] = rest.get(f"{OUTPUTS}/rec").json()
@@ -131,6 +132,7 @@ def test_a_new_url_loses_the_token(rest: httpx.Client) -> None:
     ({"id": "a"}, 422, "kind is missing"),
     ({"id": "configured", "kind": "record", "prefix": "x"}, 409, "output 'configured' exists already"),
     ({"id": "a", "kind": "record", "prefix": "/etc/x"}, 422, "prefix is '/etc/x'"),
+    ({"id": "a", "kind": "record", "prefix": "x", "rendition": "full"}, 422, "rendition is 'full', expected one of best, half"),
 ])
 def test_refusals_name_what_was_expected(rest: httpx.Client, body: dict[str, Any], status: int, complaint: str) -> None:
     answer = rest.post(OUTPUTS, json=body)
@@ -147,6 +149,9 @@ def test_more_refusals(rest: httpx.Client) -> None:
     assert rest.get("/api/streams/none/outputs").status_code == 404
     assert rest.patch(f"{OUTPUTS}/configured", json={"id": "other"}).status_code == 422
     assert rest.patch(f"{OUTPUTS}/configured", json={"url": "rtmp://h/live/k"}).status_code == 422
+    assert rest.patch(f"{OUTPUTS}/configured", json={"rendition": "full"}).status_code == 422
+    assert rest.patch(f"{OUTPUTS}/configured", json={"rendition": "half"}).json()["rendition"] == "half"
+    assert rest.patch(f"{OUTPUTS}/configured", json={"rendition": None}).json()["rendition"] == "best"
     for number in range(2):
         rest.post(OUTPUTS, json={"id": str(number), "kind": "record", "prefix": "x", "enabled": False})
     answer = rest.post(OUTPUTS, json={"id": "a", "kind": "record", "prefix": "x"})
@@ -156,14 +161,14 @@ def test_more_refusals(rest: httpx.Client) -> None:
 def test_ways_to_watch(rest: httpx.Client) -> None:
     base = str(rest.base_url).rstrip("/")
     edge = {"protocol": "whep", "url": "https://edge.example/whep/live"}
-    rest.post(OUTPUTS, json={"id": "rec", "kind": "record", "prefix": "x", "rendition": "full", "playback": [edge]})
+    rest.post(OUTPUTS, json={"id": "rec", "kind": "record", "prefix": "x", "rendition": "half", "playback": [edge]})
     rest.post(OUTPUTS, json={"id": "down", "url": NOBODY, "playback": [{"protocol": "rtmp", "url": "rtmp://down.example/live"}]})
     wait_for(lambda: rest.get(f"{OUTPUTS}/rec").json()["state"] == "live", "recording is live")
     ours, page, *others = rest.get("/api/streams/live/playback").json()
     assert (ours["protocol"], ours["url"]) == ("whep", f"{base}/whep/live")
-    assert [rendition["name"] for rendition in ours["renditions"]][:1] == ["full"]
+    assert [rendition["name"] for rendition in ours["renditions"]]== ["best", "half"]
     assert (page["protocol"], page["url"]) == ("page", f"{base}/view/live")
-    assert others == [{**edge, "rendition": "full", "via": "rec"}, {"protocol": "hls", "url": "https://cdn.example/live.m3u8"}]
+    assert others == [{**edge, "rendition": "half", "via": "rec"}, {"protocol": "hls", "url": "https://cdn.example/live.m3u8"}]
 
 
 def test_outputs_elsewhere_in_the_network_are_refused_by_a_public_service(panorama: Path, tmp_path: Path) -> None:

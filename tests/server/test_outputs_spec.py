@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 import pytest
+from encoded_stream import EncodedStream
 from pydantic import ValidationError
 
 from server.config import ConfigError, load_settings
+from server.outputs.output import Output
 from server.outputs.spec import OutputSpec, PlaybackEntry, masked_output_url
 
 
@@ -22,7 +25,7 @@ from server.outputs.spec import OutputSpec, PlaybackEntry, masked_output_url
 ])
 def test_kinds(given: dict[str, Any], kind: str, url: str | None) -> None:
     spec = OutputSpec.model_validate({"id": "a", **given})
-    assert (spec.kind, spec.url, spec.rendition, spec.enabled) == (kind, url, "full", True)
+    assert (spec.kind, spec.url, spec.rendition, spec.enabled) == (kind, url, None, True)
 
 
 @pytest.mark.parametrize(("given", "complaint"), [
@@ -49,7 +52,6 @@ def test_kinds(given: dict[str, Any], kind: str, url: str | None) -> None:
     ({"url": "rtsp://h/x", "token": "t"}, "token is for kind whip"),
     ({"url": "whip+http://user:word@h/x"}, "expected a token beside it"),
     ({"url": "whip+http://h/x", "token": "a\r\nb"}, "expected a bearer token"),
-    ({"url": "rtsp://h/x", "rendition": "huge"}, "rendition is 'huge', expected one of full, medium, low"),
     ({"url": "rtsp://h/x", "tokn": "t"}, "Extra inputs"),
     ({"url": "rtsp://h/x", "id": "a/b"}, "String should match pattern"),
     ({"url": "rtsp://h/x", "playback": [{"protocol": "whep", "url": "javascript://x/alert(1)"}]}, "playback url scheme"),
@@ -66,7 +68,11 @@ def test_refusals(given: dict[str, Any], complaint: str) -> None:
 @pytest.mark.parametrize(("url", "shown"), [
     ("rtmp://h/live/key", "rtmp://h/live/***"),
     ("rtmps://u:p@h:443/app/inst/key?token=x", "rtmps://***@h:443/app/inst/***"),
-    ("rtsp://u:p@h/x?token=abc&y=1", "rtsp://***@h/x?token=***&y=1"),
+    ("rtsp://u:p@h/x?token=abc&y=1", "rtsp://***@h/x?token=***&y=***"),
+    ("rtsp://h/x;jwt=abc/track?abc", "rtsp://h/x;***/track?***"),
+    ("https://h/whip?sid=abc&e=1#abc", "https://h/whip?sid=***&e=***#***"),
+    ("rtmp://h/live/key/", "rtmp://h/live/***"),
+    ("rtmp://h//live//key//?x=y#z", "rtmp://h/live/***"),
     ("https://h/whip/live", "https://h/whip/live"),
     ("https://customer.example/0123456789abcdef0123456789abcdef/webRTC/publish", "https://customer.example/***/webRTC/publish"),
 ])
@@ -81,6 +87,32 @@ def test_texts_are_shown_without_secrets() -> None:
     whip = OutputSpec(id="a", kind="whip", url="https://h/0123456789abcdef0123456789abcdef", token="tok.en")
     assert "0123456789" not in whip.conceal("404 for /0123456789abcdef0123456789abcdef with tok.en")
     assert "tok.en" not in whip.conceal("404 for /x with tok.en")
+
+
+@pytest.mark.parametrize(("url", "secrets"), [
+    ("rtmp://us%21er:wo%40rd@h/live/key%2Bone/", ["us%21er", "us!er", "wo%40rd", "wo@rd", "key%2Bone", "key+one"]),
+    ("rtsp://Us%21er:wo%40rd@h/x", ["Us%21er", "Us!er", "wo%40rd", "wo@rd"]),
+    ("rtsp://h/x;jwt=Xy%3Dz?sid=ab+cd%3D&bare%2Fone", ["Xy%3Dz", "Xy=z", "ab+cd%3D", "ab cd=", "bare%2Fone", "bare/one"]),
+    ("whip+https://h/whip?k=ab%2Bcd#frag%21", ["ab%2Bcd", "ab+cd", "frag%21", "frag!"]),
+    ("whip+https://h/0123456789%2Babcdef012345", ["0123456789%2Babcdef012345", "0123456789+abcdef012345"]),
+])
+def test_secrets_are_concealed_as_written_decoded_and_in_lower_case(url: str, secrets: list[str]) -> None:
+    spec = OutputSpec.model_validate({"id": "a", "url": url})
+    assert spec.shown_url is not None
+    for secret in secrets:
+        assert spec.conceal(f"cannot open <{secret}>") == spec.conceal(f"cannot open <{secret.lower()}>") == "cannot open <***>"
+        assert secret not in spec.shown_url
+
+
+@pytest.mark.parametrize("given", [
+    {"url": "rtmp://s3cr3t:s3cr3t@h/live/s3cr3t/?a=s3cr3t#s3cr3t"},
+    {"url": "rtsp://s3cr3t:s3cr3t@h/x;a=s3cr3t?a=s3cr3t&s3cr3t#s3cr3t"},
+    {"url": "whip+https://h/s3cr3ts3cr3ts3cr3ts3cr3t?a=s3cr3t", "token": "s3cr3t"},
+])
+async def test_what_everybody_with_the_right_to_view_sees_has_no_secret(given: dict[str, Any]) -> None:
+    output = Output(OutputSpec.model_validate({"id": "a", **given}), EncodedStream(), recordings_dir="/", networks=None,
+                    changed=lambda: None)
+    assert "s3cr3t" not in json.dumps(output.description())
 
 
 def test_playback_entries_of_any_protocol() -> None:
@@ -133,6 +165,16 @@ def test_bad_outputs_in_the_settings_are_told_without_secrets(outputs: Any, comp
     assert complaint.replace("config", "command line") in str(error.value)
     assert SECRET not in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_renditions_of_configured_outputs_are_of_the_ladder_of_the_settings() -> None:
+    settings = {"renditions": [{"name": "uhd", "scale": 1.0}, {"name": "hd", "scale": 0.5}]}
+    output = {"id": "rec", "kind": "record", "prefix": "p"}
+    loaded = load_settings({**settings, "outputs": [output, {**output, "id": "small", "rendition": "hd"}]}, environment={})
+    assert [one.spec.rendition for one in loaded.outputs] == [None, "hd"]
+    with pytest.raises(ConfigError) as error:
+        load_settings({**settings, "outputs": [{**output, "rendition": "full"}]}, environment={})
+    assert "outputs has 'rec', whose rendition is 'full', expected one of uhd, hd" in str(error.value)
 
 
 def test_outputs_in_the_environment_are_json() -> None:
