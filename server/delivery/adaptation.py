@@ -16,8 +16,10 @@ LOST_BADLY = 0.35           # one report is enough
 LOST = 0.08                 # two reports in a row: bad luck is shorter
 CLEAN = 0.03
 # An estimate below such a part of the rendition's rate for so many seconds. A browser that takes the jitter of retransmissions for
-# a queue goes down by 15 % and comes back.
+# a queue goes down by 15 % and comes back. And it counts only where there is a sign of a queue: a receiver whose machine is busy
+# sees packets come unevenly too.
 REMB_SHORT = ((0.75, 1.2), (0.9, 5.0))
+QUEUED_S = 0.03
 USABLE = 0.9                # of what the network is thought to carry
 FIRST_WAIT_S, LONGEST_WAIT_S = 8.0, 240.0
 TRIAL_S = 8.0               # a step up that has to be taken back within this time has failed
@@ -73,7 +75,9 @@ class Adaptation:
     def _in_trouble(self, report: Report, estimate: Estimate | None, rates: Sequence[float]) -> bool:
         lost_again = self._lost_before and report.fraction_lost > LOST
         self._lost_before = report.fraction_lost > LOST
-        believed = estimate is not None and report.at - estimate.at <= FRESH_S and report.at - self._settled_at >= SETTLING_S
+        congested = report.queued_s > QUEUED_S or report.fraction_lost > CLEAN
+        recent = estimate is not None and report.at - estimate.at <= FRESH_S and report.at - self._settled_at >= SETTLING_S
+        believed = congested and recent
         short = False
         for part, seconds in REMB_SHORT:
             if estimate is None or not believed or estimate.bps >= part * rates[self.rendition]:

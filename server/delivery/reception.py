@@ -15,11 +15,13 @@ RTT_SMOOTHING = 0.85
 @dataclass(frozen=True, slots=True)
 class Report:
     """What was heard in about a second. `fraction_lost` is of the packets sent in it, 0 to 1, before retransmission;
-    `after_silence` when nothing had been heard for `SILENT_S` before."""
+    `after_silence` when nothing had been heard for `SILENT_S` before; `queued_s` is by how much the newest round trip was longer
+    than the shortest there ever was."""
 
     at: float
     fraction_lost: float
     after_silence: bool
+    queued_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +45,7 @@ class Reception:
         self.fraction_lost = 0.0
         self.jitter = 0.0                   # in ticks of the RTP clock
         self.rtt_s: float | None = None
+        self._newest_rtt_s, self._least_rtt_s = 0.0, float("inf")
         self.remb_bps: int | None = None    # the viewer's own estimate of what it can receive
         self.remb_at = 0.0
         self.heard_at: float | None = None
@@ -53,6 +56,7 @@ class Reception:
         silent = self.heard_at is not None and now - self.heard_at > SILENT_S
         self.heard_at, self.packets_lost, self.jitter = now, max(0, packets_lost), jitter
         if rtt_s is not None and rtt_s >= 0:
+            self._newest_rtt_s, self._least_rtt_s = rtt_s, min(rtt_s, self._least_rtt_s)
             self.rtt_s = rtt_s if self.rtt_s is None else RTT_SMOOTHING * self.rtt_s + (1 - RTT_SMOOTHING) * rtt_s
         if self._window is None:
             self._window = _Window(now, packets_lost, highest_sequence)
@@ -61,7 +65,7 @@ class Reception:
             lost = packets_lost - self._window.packets_lost
             self.fraction_lost = min(max(lost / max(sent, FEWEST_PACKETS), 0.0), 1.0)
             self._window = _Window(now, packets_lost, highest_sequence)
-            self.heard(Report(now, self.fraction_lost, silent))
+            self.heard(Report(now, self.fraction_lost, silent, max(0.0, self._newest_rtt_s - self._least_rtt_s)))
 
     def counts(self) -> Counter[str]:
         """What only ever grows, by the names of the metrics."""

@@ -57,7 +57,7 @@ def _run(args: argparse.Namespace, clip: Path, children: Children, stop: threadi
     print(_invitation(base, args.duration), flush=True)
     if args.duration is None:
         watch.pause(float("inf"))
-    viewer = children.start("viewer", "server.demo.viewer", f"{base}/whep/live", piped=True)
+    viewer = children.start("viewer", "server.demo.viewer", f"{base}/whep/live?rendition=full", piped=True)
     seen = NewestLine(viewer)
     watch.until("picture in the viewer", lambda: seen.value.get("keyframes", 0) > 0, READY_WITHIN_S)
     watch.pause(SETTLING_S)

@@ -95,7 +95,7 @@ def viewer(tmp_path: Path) -> Iterator[Callable[[str], HeadlessViewer]]:
     started: list[HeadlessViewer] = []
 
     def start(base_url: str) -> HeadlessViewer:
-        started.append(HeadlessViewer(f"{base_url}/whep/live", tmp_path / f"viewer-{len(started)}.log"))
+        started.append(HeadlessViewer(f"{base_url}/whep/live?rendition=full", tmp_path / f"viewer-{len(started)}.log"))
         return started[-1]
 
     yield start

@@ -23,7 +23,7 @@ from server.demo.viewer import Viewer
 
 pytestmark = [pytest.mark.e2e, pytest.mark.alone]
 
-CYCLES, AT_ONCE, WARM_UP = 200, 4, 40
+CYCLES, AT_ONCE, WARM_UP = 200, 4, 150     # as long as that the allocator takes to settle
 WATCHES_S = 0.1
 MOST_OBJECTS = 1.0          # a cycle: each viewer had thousands
 MOST_HEAP_MB, MOST_RESIDENT_MB = 1.0, 8.0

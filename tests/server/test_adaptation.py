@@ -83,6 +83,14 @@ def test_steps_up_that_fail_become_ever_rarer() -> None:
     assert sum(rendition != 2 for rendition in seen[10:]) <= 3 * len(tries)
 
 
+def test_a_low_estimate_counts_only_with_a_sign_of_a_queue() -> None:
+    for queued_s, expected in ((0.0, 0), (0.2, 2)):
+        adaptation = Adaptation(0, 2, 0.0)
+        for second in range(1, 10):
+            rendition = adaptation.take(Report(float(second), 0.0, False, queued_s), Estimate(2_800_000, second - 0.1), RATES)
+        assert rendition == expected
+
+
 def test_limits_are_kept() -> None:
     fixed = Network(1e6, adaptation=Adaptation(0, 0, 100.0))
     assert fixed.seconds(20) == [0] * 20

@@ -41,6 +41,14 @@ def test_all_lost_is_all_lost_and_a_late_packet_is_no_gain() -> None:
     assert reception.packets_lost == 450
 
 
+def test_a_queue_is_told_by_the_round_trip() -> None:
+    reception, heard = Reception(), []
+    reception.heard = heard.append
+    for second, rtt_s in enumerate((0.05, 0.04, 0.3, 0.04)):
+        reception.report(float(second), 0, 1000 * second, 0, rtt_s)
+    assert [round(report.queued_s, 3) for report in heard] == [0.0, 0.26, 0.0]
+
+
 def test_silence_is_told() -> None:
     reception, heard = Reception(), []
     reception.heard = heard.append
