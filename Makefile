@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 ARGS ?=
 PYTEST_ARGS ?=
 MAPS ?=
-# two files of tests at a time: most wait for processes to start, and for video to play
+# two files of tests at a time: most wait for processes to start, and for video to play; the renderer's share an OpenGL context
 TOGETHER := -n 2 --dist loadfile -m "not alone"
 
 .PHONY: help demo test lint check-python check-web e2e bench bench-gpu bench-light bench-presets bench-service bench-truth soak fuzz \
@@ -24,7 +24,8 @@ lint: setup-test ## ruff and mypy
 	$(BIN)/mypy
 
 check-python: setup-test ## unit tests
-	$(BIN)/python -m pytest tests/renderer tests/worker tests/server $(TOGETHER) $(PYTEST_ARGS)
+	$(BIN)/python -m pytest tests/renderer $(TOGETHER) $(PYTEST_ARGS)
+	$(BIN)/python -m pytest tests/worker tests/server $(TOGETHER) $(PYTEST_ARGS)
 
 check-web: setup-test ## unit tests of the page's modules
 	node --test tests/web/*.test.js

@@ -26,6 +26,8 @@ from server.demo.watch import StopError
 from server.worker import __main__ as worker_main
 from server.worker import heartbeat, render_loop
 
+pytestmark = pytest.mark.alone
+
 WIDTH, FPS = 256, 10
 SPIN = "import threading, time\nthreading.Thread(target=lambda: [0 for _ in iter(int, 1)], daemon=True).start()\ntime.sleep(60)"
 
