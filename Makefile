@@ -5,8 +5,8 @@ BIN := $(VENV)/bin
 ARGS ?=
 PYTEST_ARGS ?=
 MAPS ?=
-# two files of tests at a time: most wait for processes to start, and for video to play; the renderer's share an OpenGL context
-TOGETHER := -n 2 --dist loadfile -m "not alone"
+# three files of tests at a time: most wait for processes to start, and for video to play; the renderer's share an OpenGL context
+TOGETHER := -n 3 --dist loadfile -m "not alone"
 
 .PHONY: help demo test lint check-python check-web e2e bench bench-gpu bench-light bench-presets bench-service bench-truth soak fuzz \
 	bench-viewers bench-latency bench-networks setup setup-test setup-truth lock clean

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +26,6 @@ from server.demo.clip import demo_clip
 from server.demo.watch import StopError
 from server.worker import __main__ as worker_main
 from server.worker import heartbeat, render_loop
-
-pytestmark = pytest.mark.alone
 
 WIDTH, FPS = 256, 10
 SPIN = "import threading, time\nthreading.Thread(target=lambda: [0 for _ in iter(int, 1)], daemon=True).start()\ntime.sleep(60)"
@@ -110,6 +109,7 @@ def test_a_signal_ends_a_measurement(small_clips: Path, tmp_path: Path) -> None:
         child_of(os.getpid(), "server.bench.service_transcode")
 
 
+@pytest.mark.usefixtures("leaves_nothing")
 def test_the_service_beside_a_transcode(small_clips: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "report.json"
     assert service.main(["--sizes", f"{WIDTH}x{WIDTH // 2}", "--clips", "still", "--fps", str(FPS), "--seconds", "3",
@@ -134,9 +134,9 @@ def test_the_service_beside_a_transcode(small_clips: Path, tmp_path: Path, capsy
     assert run["ratio"]["worker_and_server"] > run["ratio"]["worker"] > 1.0
     printed = capsys.readouterr().out
     assert all(line in printed for line in service_lines(run))
-    assert not left_children()
 
 
+@pytest.mark.usefixtures("leaves_nothing")
 def test_viewers_that_only_receive(small_clips: Path, tmp_path: Path) -> None:
     file = tmp_path / "report.json"
     assert service.main(["--sizes", f"{WIDTH}x{WIDTH // 2}", "--clips", "still", "--fps", str(FPS), "--seconds", "2",
@@ -147,7 +147,6 @@ def test_viewers_that_only_receive(small_clips: Path, tmp_path: Path) -> None:
     assert run["slowest_fps"] > 0
     assert run["service"]["received"]["bytes"] > run["service"]["received"]["slowest"] > 0
     assert run["mbps_each"] > 0
-    assert not left_children()
 
 
 def test_scaling_has_every_condition(small_clips: Path, tmp_path: Path) -> None:
@@ -201,12 +200,20 @@ def test_flat_memory_is_told_from_growing() -> None:
     assert falling.is_flat
 
 
-def left_children() -> list[str]:
-    found = []
+def children() -> set[tuple[int, str]]:
+    """Processes of the service that this one has started: of this test, or of another in the same session."""
+    found = set()
     for folder in Path("/proc").iterdir():
         try:
             if folder.name.isdigit() and int((folder / "stat").read_text().rpartition(")")[2].split()[1]) == os.getpid():
-                found.append((folder / "cmdline").read_text())
+                found.add((int(folder.name), (folder / "cmdline").read_text()))
         except OSError:
             continue
-    return [command for command in found if "server." in command]
+    return {(pid, command) for pid, command in found if "server." in command}
+
+
+@pytest.fixture
+def leaves_nothing() -> Iterator[None]:
+    before = children()
+    yield
+    assert children() <= before
