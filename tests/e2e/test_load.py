@@ -37,6 +37,7 @@ HOLDS = 0.95            # of the camera's rate: this machine keeps up with it
 SAME_RATE = 0.93        # of the rate before
 FELT_S, MOST_FELT_S = 4.0, 6.0
 ROOM_LEFT = 4           # steps down at rest: there is something left to give up
+FELT_LOAD = 0.9         # above that the budget has to act (HIGH of frame_budget.py)
 OTHERS = 0.15           # of both cores, used by what does not belong to this test
 MANY_DECISIONS, MANY_TURNS = 40, 8
 THIEF = "while True: pass"
@@ -132,6 +133,8 @@ def test_a_stolen_core_costs_accuracy_and_not_frames(
     assert watch.rate(thefts[-1] + ALLOWED_S, stolen[1]) > SAME_RATE * rate
     assert watch.rate(after[0] + ALLOWED_S, after[1]) > SAME_RATE * rate
     rest, peak, end = (watch.within(*span) for span in (before, stolen, (after[1] - 5.0, after[1])))
+    if max(sample.load for sample in peak) < FELT_LOAD:
+        pytest.skip(f"three thieves raised the load to {max(sample.load for sample in peak):.2f} only: nothing had to be given up")
     assert max(sample.level for sample in peak) > max(sample.level for sample in rest), "nothing was given up"
     rise = max(sample.error for sample in peak) - rest[-1].error
     assert rise > 0.0
