@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from server.delivery.fanout import EncodedFrame
+from server.delivery.stream_clock import VIDEO_CLOCK_HZ
 from server.delivery.tracks import Tracks, video_track
 from server.event_outbox import Event, EventOutbox
 from server.light_feed import LightFeed
@@ -25,7 +26,6 @@ from server.worker.messages import Message
 
 logger = logging.getLogger(__name__)
 
-RTP_CLOCK_HZ = 90_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +149,7 @@ class Stream:
 
     def start_message(self) -> Message:
         elapsed_s = time.monotonic() - self._timestamp_at + self._supervisor.startup_s
-        first = self._newest_timestamp + round(elapsed_s * RTP_CLOCK_HZ) if self._newest_timestamp else 0
+        first = self._newest_timestamp + round(elapsed_s * VIDEO_CLOCK_HZ) if self._newest_timestamp else 0
         return {
             "type": "start", "stream": self.name, "source": self.source,
             "allow_files": is_file_source(self.source), "require_gpu": self._settings.require_gpu,

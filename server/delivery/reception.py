@@ -43,7 +43,6 @@ class Reception:
         self.nacked = self.keyframe_requests = 0
         self.packets_lost = 0               # as the viewer counts: before retransmission
         self.fraction_lost = 0.0
-        self.jitter = 0.0                   # in ticks of the RTP clock
         self.rtt_s: float | None = None
         self._newest_rtt_s, self._least_rtt_s = 0.0, float("inf")
         self.remb_bps: int | None = None    # the viewer's own estimate of what it can receive
@@ -51,10 +50,10 @@ class Reception:
         self.heard_at: float | None = None
         self._window: _Window | None = None
 
-    def report(self, now: float, packets_lost: int, highest_sequence: int, jitter: int, rtt_s: float | None) -> None:
+    def report(self, now: float, packets_lost: int, highest_sequence: int, rtt_s: float | None) -> None:
         """Take a receiver report (RFC 3550, 6.4.2) that came at the monotonic time `now`."""
         silent = self.heard_at is not None and now - self.heard_at > SILENT_S
-        self.heard_at, self.packets_lost, self.jitter = now, max(0, packets_lost), jitter
+        self.heard_at, self.packets_lost = now, max(0, packets_lost)
         if rtt_s is not None and rtt_s >= 0:
             self._newest_rtt_s, self._least_rtt_s = rtt_s, min(rtt_s, self._least_rtt_s)
             self.rtt_s = rtt_s if self.rtt_s is None else RTT_SMOOTHING * self.rtt_s + (1 - RTT_SMOOTHING) * rtt_s

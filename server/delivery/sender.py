@@ -129,7 +129,7 @@ class PacketSender(RTCRtpSender):
                 if report.ssrc == self._ssrc:
                     sent_at = self._reports_sent.get(report.lsr)
                     rtt_s = None if sent_at is None or not report.dlsr else now - sent_at - report.dlsr / 65536
-                    reception.report(now, report.packets_lost, report.highest_sequence, report.jitter, rtt_s)
+                    reception.report(now, report.packets_lost, report.highest_sequence, rtt_s)
         elif isinstance(packet, RtcpRtpfbPacket) and packet.fmt == RTCP_RTPFB_NACK:
             for sequence_number in packet.lost:
                 await self._send_again(sequence_number)

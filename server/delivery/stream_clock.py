@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 
+VIDEO_CLOCK_HZ = 90_000      # of every video codec over RTP
 NTP_EPOCH_S = 2_208_988_800     # 1900-01-01 to 1970-01-01
 
 

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from server.delivery.adaptation import Adaptation, Estimate
-from server.delivery.fanout import EncodedFrame, FanOut, Taker
+from server.delivery.fanout import EncodedFrame, Taker
 from server.delivery.reception import Reception, Report
 from server.delivery.squeeze import Squeeze
-from server.delivery.stream_clock import StreamClock
 from server.delivery.tracks import Tracks, video_track
 from server.renditions import AUDIO
 
@@ -38,7 +37,7 @@ class PictureFeed:
                  delivered: Callable[[float], None]) -> None:
         """`names` of the renditions, best first; `delivered` is told, per frame, the seconds since its source frame was decoded."""
         self.codec = codec
-        self.sound: TrackFeed | None = None     # of the same viewer
+        self.sound: SoundFeed | None = None     # of the same viewer
         self.clock = tracks.clock
         self.reception = Reception()
         self.reception.heard = self._adapt
@@ -183,21 +182,18 @@ class PictureFeed:
             self._tracks.viewer_left(self)
 
 
-class TrackFeed:
-    """One track, whatever the network does: the sound, or what goes to a media server."""
+class SoundFeed:
+    """The stream's sound, for as long as there is any."""
 
-    def __init__(self, fanout: FanOut, codec: str, clock: StreamClock) -> None:
-        self.codec = codec
-        self.clock = clock
+    codec = "opus"
+    at_once = False
+
+    def __init__(self, tracks: Tracks) -> None:
+        self.clock = tracks.clock
         self.reception = Reception()
-        self.request_keyframe = fanout.request_keyframe
-        self._fanout = fanout
+        self._fanout = tracks.fanout(AUDIO)
         self._taker: Taker | None = None
         self._newest_at = -1e9
-
-    @property
-    def at_once(self) -> bool:
-        return False
 
     @property
     def flowing(self) -> bool:
@@ -211,11 +207,9 @@ class TrackFeed:
         self._newest_at = time.monotonic()
         return frame
 
+    def request_keyframe(self) -> None:
+        """Every packet of sound can be understood without the others."""
+
     def close(self) -> None:
         if self._taker is not None:
             self._fanout.leave(self._taker)
-
-
-def sound_feed(tracks: Tracks) -> TrackFeed:
-    """The stream's sound, for as long as there is any."""
-    return TrackFeed(tracks.fanout(AUDIO), "opus", tracks.clock)

@@ -10,10 +10,8 @@ from typing import Protocol
 
 from server.delivery.fanout import EncodedFrame, FanOut
 from server.delivery.squeeze import Squeeze
-from server.delivery.stream_clock import StreamClock
+from server.delivery.stream_clock import VIDEO_CLOCK_HZ, StreamClock
 from server.renditions import AUDIO
-
-VIDEO_CLOCK_HZ = 90_000
 
 
 def video_track(rendition: str, codec: str) -> str:

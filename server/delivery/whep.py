@@ -29,7 +29,7 @@ from server.delivery.codecs import opus, with_retransmission
 from server.delivery.feed import FeedTrack
 from server.delivery.ice_fragment import Fragment, fragment_text
 from server.delivery.sdp_offer import CodecError, OfferError, parse_offer
-from server.delivery.subscription import Choice, PictureFeed, TrackFeed, sound_feed
+from server.delivery.subscription import Choice, PictureFeed, SoundFeed
 from server.stream import Stream
 
 logger = logging.getLogger(__name__)
@@ -56,7 +56,7 @@ class WhepSession:
         # An empty list, not None: None means Google's STUN server and a pause of 5 s where that cannot be reached.
         self._connection = RTCPeerConnection(RTCConfiguration(iceServers=[]))
         self._choice = choice
-        self._feeds: list[PictureFeed | TrackFeed] = []
+        self._feeds: list[PictureFeed | SoundFeed] = []
         self.picture: PictureFeed | None = None     # from `negotiate` on
         self._closed = closed
         self._closing: asyncio.Task[None] | None = None
@@ -89,7 +89,7 @@ class WhepSession:
         # Before the offer is set: aiortc chooses codecs there, else the offerer's first one, which is VP8 in browsers.
         video.setCodecPreferences(with_retransmission(parsed.codec))
         if parsed.sound:
-            self.picture.sound = sound_feed(stream.tracks)
+            self.picture.sound = SoundFeed(stream.tracks)
             self._send("audio", self.picture.sound).setCodecPreferences(opus())
         self._connection.on("connectionstatechange", self._state_changed)
         try:
@@ -106,7 +106,7 @@ class WhepSession:
         self._add_late(parsed.late)
         return parsed.complete(self._connection.localDescription.sdp)
 
-    def _send(self, kind: str, feed: PictureFeed | TrackFeed) -> RTCRtpTransceiver:
+    def _send(self, kind: str, feed: PictureFeed | SoundFeed) -> RTCRtpTransceiver:
         self._feeds.append(feed)
         return self._connection.addTransceiver(FeedTrack(kind, feed), direction="sendonly")
 

@@ -10,9 +10,7 @@ from server.delivery.codecs import opus, with_retransmission
 from server.delivery.fanout import EncodedFrame, Taker
 from server.delivery.feed import FeedTrack
 from server.delivery.reception import Reception, Report
-from server.delivery.stream_clock import StreamClock
-
-VIDEO_CLOCK_HZ = 90_000
+from server.delivery.stream_clock import VIDEO_CLOCK_HZ, StreamClock
 
 
 class PushedFeed:

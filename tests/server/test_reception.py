@@ -15,7 +15,7 @@ def reports(seconds: float, loss: float, packets_a_second: int, each_s: float) -
     lost = np.cumsum(np.random.default_rng(3).random(int(seconds * packets_a_second) + 1) < loss)
     for number in range(int(seconds / each_s)):
         sent = int(number * each_s * packets_a_second)
-        reception.report(number * each_s, int(lost[sent]), 65_000 + sent, 0, None)
+        reception.report(number * each_s, int(lost[sent]), 65_000 + sent, None)
     return heard
 
 
@@ -34,9 +34,9 @@ def test_one_packet_lost_of_very_few_is_not_much() -> None:
 def test_all_lost_is_all_lost_and_a_late_packet_is_no_gain() -> None:
     reception, heard = Reception(), []
     reception.heard = heard.append
-    reception.report(0.0, 0, 1000, 0, None)
-    reception.report(1.0, 500, 1500, 0, None)
-    reception.report(2.0, 450, 1900, 0, None)
+    reception.report(0.0, 0, 1000, None)
+    reception.report(1.0, 500, 1500, None)
+    reception.report(2.0, 450, 1900, None)
     assert [report.fraction_lost for report in heard] == [1.0, 0.0]
     assert reception.packets_lost == 450
 
@@ -45,7 +45,7 @@ def test_a_queue_is_told_by_the_round_trip() -> None:
     reception, heard = Reception(), []
     reception.heard = heard.append
     for second, rtt_s in enumerate((0.05, 0.04, 0.3, 0.04)):
-        reception.report(float(second), 0, 1000 * second, 0, rtt_s)
+        reception.report(float(second), 0, 1000 * second, rtt_s)
     assert [round(report.queued_s, 3) for report in heard] == [0.0, 0.26, 0.0]
 
 
@@ -53,6 +53,6 @@ def test_silence_is_told() -> None:
     reception, heard = Reception(), []
     reception.heard = heard.append
     for at in (0.0, 1.0, 7.0, 7.1, 8.0):
-        reception.report(at, 0, int(1000 * at), 0, 0.04)
+        reception.report(at, 0, int(1000 * at), 0.04)
     assert [(report.at, report.after_silence) for report in heard] == [(1.0, False), (7.0, True), (8.0, False)]
     assert reception.rtt_s == pytest.approx(0.04)

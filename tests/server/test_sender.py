@@ -17,7 +17,7 @@ from sender_pair import Pair, access_units, connected_pair, until
 from server.delivery.fanout import EncodedFrame
 from server.delivery.feed import FeedTrack
 from server.delivery.sender import PLAYOUT_DELAY, PacketSender
-from server.delivery.subscription import Choice, PictureFeed, sound_feed
+from server.delivery.subscription import Choice, PictureFeed, SoundFeed
 from server.delivery.tracks import Tracks
 from server.renditions import AUDIO
 
@@ -60,7 +60,7 @@ async def test_a_small_frame_leaves_at_once(pair: Pair) -> None:
 @pytest.mark.parametrize(("with_sound", "most"), [(False, 0), (True, 50)])
 async def test_pictures_without_sound_are_not_to_be_held_back(pair: Pair, with_sound: bool, most: int) -> None:
     if with_sound:
-        pair.feed.sound = sound_feed(pair.tracks)
+        pair.feed.sound = SoundFeed(pair.tracks)
         waiting = asyncio.create_task(pair.feed.sound.next_frame())
         await asyncio.sleep(0.01)
         pair.tracks.publish(AUDIO, EncodedFrame(b"x", 0, keyframe=True, decoded_at=0.0))

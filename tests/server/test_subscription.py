@@ -8,7 +8,7 @@ import pytest
 
 from server.delivery.fanout import EncodedFrame
 from server.delivery.reception import Report
-from server.delivery.subscription import Choice, PictureFeed, TrackFeed, sound_feed
+from server.delivery.subscription import Choice, PictureFeed, SoundFeed
 from server.delivery.tracks import Tracks
 from server.renditions import AUDIO
 
@@ -33,7 +33,7 @@ class Stream:
         return frame
 
 
-async def take(feed: PictureFeed | TrackFeed) -> tuple[str, int]:
+async def take(feed: PictureFeed | SoundFeed) -> tuple[str, int]:
     frame = await asyncio.wait_for(feed.next_frame(), 5)
     return frame.data.decode(), frame.timestamp
 
@@ -152,7 +152,7 @@ async def test_closing_before_anything_was_sent_leaves_nothing() -> None:
 
 async def test_sound_needs_no_keyframe_and_counts_no_viewer() -> None:
     stream = Stream()
-    feed = sound_feed(stream.tracks)
+    feed = SoundFeed(stream.tracks)
     waiting = asyncio.create_task(take(feed))
     await asyncio.sleep(0.01)
     assert stream.tracks.wanted == [AUDIO]
@@ -180,7 +180,7 @@ async def test_pictures_are_shown_at_once_until_there_is_sound() -> None:
     stream = Stream()
     feed = stream.feed()
     assert feed.at_once
-    feed.sound = sound_feed(stream.tracks)
+    feed.sound = SoundFeed(stream.tracks)
     assert feed.at_once
     waiting = asyncio.create_task(take(feed.sound))
     await asyncio.sleep(0.01)
